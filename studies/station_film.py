@@ -27,7 +27,7 @@ from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.from_above import FromAbove, opencv
 from fishmj.mjcf.skin import skin
-from fishmj.view.replay.scene import ARRIVAL, colours, read_wake, track
+from fishmj.view.replay.replay_data import ARRIVAL, colours, read_wake, track
 
 POLICY, SPEED, SECONDS = "station", 0.2, 10.0  # m/s, s of the trial
 BOX = replace(preset("laptop"), shape=(128, 56, 30))

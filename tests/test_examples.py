@@ -15,7 +15,7 @@ from fishmj.hydro_fit.fit.training_loop import short_op_compiler_options
 FOLDER = Path(__file__).resolve().parent.parent / "examples"
 QUICK = ("own_controller", "own_effect", "own_importer", "own_reward", "read_trial", "side_by_side")
 DEAR = ("boat_study", "flow_solver", "gymnasium_policy", "mjx_batch", "search", "solver_suite")  # more than 5 s of CPU
-ELSEWHERE = ("gait_map", "lab_csv", "sb3_ppo", "whole_loop")  # run by tests of their own
+ELSEWHERE = ("cylinder", "gait_map", "lab_csv", "own_mjcf", "sb3_ppo", "whole_loop")  # run by tests of their own
 LONGER = ("five_links", "gap_answers", "jax_ppo", "own_code")  # stories that pages of the docs quote; tests of their own
 LINES = 60
 

@@ -21,7 +21,7 @@ from fishmj.hydro_fit import fit_report as water
 from fishmj.log import __main__ as command
 from fishmj.mjcf import load_robot
 from fishmj.view.replay import write_html, write_png
-from fishmj.view.replay.scene import robot_of
+from fishmj.view.replay.replay_data import robot_of
 
 ROBOT = load_robot("fish")
 

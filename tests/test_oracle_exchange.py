@@ -15,8 +15,8 @@ from fishmj.lbm_oracle.refined.exchange import CELL_BITS
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory
 
 pytestmark = pytest.mark.oracle
-# threads for a row of z
-THREADS = {stream_collide: lambda n: n, stream_collide_rows: lambda n: 1, stream_collide_pairs: lambda n: n // 2}
+THREADS = {stream_collide: lambda ny, nz: ny * nz, stream_collide_rows: lambda ny, nz: 1}  # a plane of x
+THREADS[stream_collide_pairs] = lambda ny, nz: ny * nz // 2
 BOXES = {  # water, where it begins, the box's place in it and its size
     "inside": ((11, 9, 10), (37, -25, 8), (3, 2, 4), (4, 3, 3)),
     "through": ((9, 8, 3), (-5, 6, 0), (3, 2, 0), (3, 4, 3)),  # it fills an axis
@@ -118,7 +118,7 @@ def test_what_enters_a_box_is_what_the_formula_says(name, linear):
 @pytest.mark.parametrize("make", [stream_collide, stream_collide_rows, stream_collide_pairs])
 def test_a_step_leaves_ghosts_alone(name, make, monkeypatch):
     """In each kernel; and a survey does not see them."""
-    monkeypatch.setattr(fluid, "kernel_for", lambda shape, device: (make, shape[1] * THREADS[make](shape[2])))
+    monkeypatch.setattr(fluid, "kernel_for", lambda shape, device: (make, THREADS[make](*shape[1:])))
     box = boxed(name)
     ghosts = np.ones(box.shape, bool)
     ghosts[_memory(box, box.first_lu, 2 * box.size_lu)] = False

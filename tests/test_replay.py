@@ -23,7 +23,7 @@ from fishmj.mjcf.identity import identity
 from fishmj.mjcf.skin import posed, skin
 from fishmj.view.replay import track, write_html, write_mp4, write_png
 from fishmj.view.replay.__main__ import main
-from fishmj.view.replay.scene import robot_of, unlike
+from fishmj.view.replay.replay_data import robot_of, unlike
 from fishmj.view.replay.video import TopView
 
 

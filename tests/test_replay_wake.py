@@ -14,7 +14,7 @@ from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, Slice, write_slice
 from fishmj.mjcf import load_robot
 from fishmj.view.replay import track, write_html
 from fishmj.view.replay.__main__ import main
-from fishmj.view.replay.scene import colours, page_data, read_wake, strongest
+from fishmj.view.replay.replay_data import colours, page_data, read_wake, strongest
 from fishmj.view.replay.video import TopView
 
 STRONG, PEAK, SIDE, WIDE = (

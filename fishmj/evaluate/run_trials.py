@@ -412,6 +412,7 @@ def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> st
         "water": [water.domain, water.slip, HELD, *([] if water.dx is None else [water.dx])],
         **({"immersed": {k: repr(v) for k, v in water.immersed.items()}} if water.immersed != PLAIN.immersed else {}),
         **({"effects": repr(robot.effects)} if robot.effects else {}),
+        **({"hull": robot.hull} if robot.hull != "turbulent" else {}),
         **({"drawn": trials.drawn_as} if trials.drawn_as else {}),
     }
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]

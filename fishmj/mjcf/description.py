@@ -114,6 +114,7 @@ class Robot:
     water: dict = field(default_factory=dict)
     title: str = ""
     density_water: float = 1000.0  # kg/m3
+    hull: str = field(default="turbulent", repr=False)  # or laminar: its boundary layer, for the flow solver's `wall_stress`
     effects: "tuple[FittedEffect, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
     notes: tuple[str, ...] = field(default=(), repr=False, compare=False)  # what the reader was told: assumed, or unlikely
 

@@ -85,6 +85,9 @@ class BodyBlock(TomlTable):
 
     mass_total: float | None = number("a check: the links' masses must add up to it within 1 %", 1e-3, 3e5, "kg", default=None)
     density_water: float = number("of the water that it floats in", 500.0, 2000.0, "kg/m3", default=1000.0)
+    hull: Literal["turbulent", "laminar"] = _field(
+        "its boundary layer, for `--boundary wall_stress`", "", "'turbulent' or 'laminar'", "turbulent"
+    )
     reference: Literal["straight_com"] = _field("the point whose pose is reported", "", "'straight_com'", "straight_com")
 
 

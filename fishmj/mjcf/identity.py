@@ -21,6 +21,8 @@ def robot_sha256(robot: Robot) -> str:
     """
     table = asdict(robot)
     del table["rig"]
+    if robot.hull == "turbulent":  # as in hashes from before hulls were stated
+        del table["hull"]
     water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
     table["water"] = {"model": "structured", **water}
     return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()

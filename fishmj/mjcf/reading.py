@@ -61,6 +61,7 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
         rig=RigSpec(**_tuples(_in_radians(table.get("rig", {})))),
         water=water,
         density_water=float(table.get("body", {}).get("density_water", 1000.0)),
+        hull=table.get("body", {}).get("hull", "turbulent"),
         effects=_effects(dict(table), where),
         notes=tuple(notes),
     )
@@ -91,7 +92,7 @@ def checked(robot: Robot) -> Robot:
     table = {
         "name": robot.name,
         "title": robot.title,
-        "body": {"density_water": robot.density_water},
+        "body": {"density_water": robot.density_water, "hull": robot.hull},
         "link": [_plain(vars(link)) for link in robot.links],
         "fin": [_plain(vars(fin)) for fin in robot.fins],
         "servo": _plain(vars(robot.servo)),

@@ -2,10 +2,6 @@
 
     C_D = 2 F_x / (rho U^2 D),   C_L = 2 F_y / (rho U^2 D),   St = f D / U,   l = from the rear to where u = 0 on the axis
 
-The strip is periodic across its one cell, so a kernel three cells deep hits that cell three times. `Strip` folds the spread force
-back onto the cell between the passes of the direct forcing. The force into the water and the reading of the markers fold by
-themselves. Forces are those of one cell of depth.
-
 The box is 30 D square with free slip at its sides, as wide as that of the reference; it blocks 1/30 of the stream. The street is
 judged in a box of 60 x 80 D at half the Mach number. Between sides 30 D apart, sound at Mach 0.1 has a mode at f D / U = 0.16,
 next to the shedding frequency, and makes the shedding faster and stronger. Blockage and an inflow 12 D ahead raise the frequency
@@ -19,24 +15,15 @@ Sources: Taira and Colonius 2007, J. Comput. Phys. 225:2118, table 2 (Re 40); Li
 Choi 1998 (Re 100) as tabulated beside its own figures by the validation pages of the solver Mallard, read 2026-11-20.
 """
 
-from math import ceil, pi
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
-import warp as wp
 
+from fishmj.lbm_oracle import scene
 from fishmj.lbm_oracle.cases import Check, about, register, reported
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
-from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed import kernels
-from fishmj.lbm_oracle.immersed.body import ImmersedBody
-from fishmj.lbm_oracle.immersed.boundary import Boundary
-from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import Markers, offset_of
-from fishmj.water.flow import Flow
-
-wp.set_module_options({"enable_backward": False})
+from fishmj.lbm_oracle.immersed.markers import offset_of
+from fishmj.lbm_oracle.scene import Scene
 
 STREAM = 0.06  # lattice units: Mach 0.1
 BOX, AT = (30.0, 30.0), (0.4, 0.5)  # diameters; share of the box
@@ -47,74 +34,19 @@ TAIRA = {"C_D": 1.54, "l / D": 2.30}
 STREET = {"C_D": 1.34, "C_L": 0.335, "St": 0.1645}  # middle of 1.33 and 1.350, 0.33 and 0.339, 0.164 and 0.165
 
 
-@wp.kernel
-def fold(scratch: wp.array4d(dtype=wp.vec3)):
-    """Gives every cell of a column the sum of the column: they are one cell of water."""
-    i, j, r = wp.tid()
-    total = wp.vec3()
-    for k in range(scratch.shape[2]):
-        total += scratch[i, j, k, r]
-    for k in range(scratch.shape[2]):
-        scratch[i, j, k, r] = total
-
-
-class Strip(Boundary):
-    """The immersed boundary of a body in a strip one cell deep."""
-
-    def _launch(self, kernel, dim, inputs, outputs) -> None:
-        super()._launch(kernel, dim, inputs, outputs)
-        if kernel is kernels.spread:
-            super()._launch(fold, (*self.box_shape[:2], self.rhs), [], [self.scratch])
-
-
-def circle_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None) -> Markers:
-    """A circle of `radius` m in the plane z = 0, one cell deep, markers about dx apart."""
-    r = radius - offset_of(width, slip, hydro_offset) * dx
-    n = ceil(2 * pi * r / dx)
-    turn = 2 * pi * np.arange(n) / n
-    unit = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-    return Markers.rigid(r * unit, unit, 2 * pi * r / n * dx)
-
-
-def rod(radius: float, lattice: Lattice, at=(0.0, 0.0)) -> ImmersedBody:
-    """A cylinder of water's density and one cell of depth on slides along x and y, at `at` (2,) m."""
-    mass = lattice.rho * pi * radius**2 * lattice.dx
-    inertia = np.array([0.25, 0.25, 0.5]) * mass * radius**2
-    body = ImmersedBody.on_slides("xy", mass, inertia, mass, inertia, lattice.dt)
-    body.place(at)
-    return body
-
-
-def cylinder(
-    cells: int,
-    speed: float,
-    reynolds: float,
-    box: tuple[float, float],
-    at: tuple[float, float],
-    device: str,
-    *,
-    faces: Boundaries,
-    flow: Flow | None = None,
-    passes: int = 2,
-    **options,
-) -> FluidStructure:
-    """A cylinder of `cells` cells across without slip, in lattice units.
+def cylinder(cells: int, speed: float, reynolds: float, box, at, device: str, *, motion=None, **options) -> Scene:
+    """A cylinder of `cells` cells across on slides along x and y, in lattice units, and of water's density if it is free.
 
     Args:
-        speed: stream speed of the Reynolds number.
+        speed: of the Reynolds number.
         box: length and breadth in diameters.
         at: centre as a share of the box; it is put off the nodes, as a fish is.
-        passes: passes of the direct forcing.
-        options: options of the markers.
+        motion: of both slides, cells. options: of the scene.
     """
-    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=speed * cells / reynolds)
-    shape = (round(box[0] * cells), round(box[1] * cells), 1)
-    water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=flow)
-    centre = np.array(shape[:2]) * at + [0.2, -0.3]
-    markers, body = circle_markers(cells / 2, 1.0, **options), rod(cells / 2, lattice, centre)
-    held = FluidStructure(water, body, markers, slip=0.0, passes=passes)
-    held.boundary = Strip(markers, body, water, slip=0.0, passes=passes)
-    return held
+    water = Scene(np.multiply(box, cells), 1.0, speed * cells / reynolds, rho=1.0, dt=1.0, device=device, **options)
+    density = 1.0 if motion is None else None
+    place = np.multiply(water.extent, at) + [0.7, 0.2]
+    return water.add(scene.cylinder(cells), place, joints=("slide x", "slide y"), motion=motion, density=density)
 
 
 class Held(NamedTuple):
@@ -122,29 +54,24 @@ class Held(NamedTuple):
 
     force: np.ndarray
     interval: float
-    coupled: FluidStructure
+    scene: Scene
 
 
-def hold(cells: int, reynolds: float, times: float, device: str, *, stream=STREAM, box=BOX, kick: float = 0.0, **options) -> Held:
+def hold(cells: int, reynolds: float, times: float, device: str, *, stream=STREAM, box=BOX, kick: float = 0.0) -> Held:
     """Holds a cylinder of `cells` cells for `times` D / U, from undisturbed flow; `kick` is its first swing aside, of U."""
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("slip", "slip"), sponge=max(8, cells))
-    held = cylinder(cells, stream, reynolds, box, AT, device, faces=faces, flow=Flow(speed=stream), **options)
+    swing = round(KICK * cells / stream)
+    aside = lambda step: kick * stream * swing / (2 * pi) * (1 - np.cos(2 * pi * min(step / swing, 1.0)))
+    options = {"stream": stream, "sponge": max(8, cells), "motion": lambda step: (0.0, aside(step))}
+    held = cylinder(cells, stream, reynolds, box, AT, device, **options)
     every = max(1, round(cells / stream / 50))
-    steps, swing, record = round(times * cells / stream / every), round(KICK * cells / stream), []
-    fixed = np.ones(2)
-    for n in range(steps):
-        for i in range(n * every, (n + 1) * every):
-            aside = kick * stream * np.sin(2 * pi * i / swing) if i < swing else 0.0
-            held.step(fixed, [0.0, aside])
-        raw, _ = held.take_wrench(every)
-        record.append(raw[0, :2] / (0.5 * stream**2 * cells))
-    return Held(np.array(record), every * stream / cells, held)
+    held.run(round(times * cells / stream / every) * every, every)
+    return Held(held.coefficients()[:, :2], every * stream / cells, held)
 
 
 def bubble(held: Held, cells: int) -> float:
     """Length of the recirculation behind the cylinder, in D; NaN if the velocity does not change sign within the box."""
-    x, y = held.coupled.body.data.qpos
-    u = held.coupled.fluid.velocity()[:, :, 0, 0]
+    x, y = held.scene.coupled.body.data.xpos[1, :2] - 0.5  # in nodes
+    u = held.scene.coupled.fluid.velocity()[:, :, 0, 0]
     row = int(np.floor(y))
     axis = u[:, row] + (y - row) * (u[:, row + 1] - u[:, row])
     rear = x + cells / 2
@@ -178,7 +105,7 @@ def steady(cells: int, device: str, room: dict[str, float], times: float = 45.0,
     """Checks of the steady wake; quantities without `room` are reported."""
     found = hold(cells, 40.0, times, device, box=box)
     last, before = found.force[-50:, 0].mean(), found.force[-100:-50, 0].mean()  # the last two D / U
-    length, inset = bubble(found, cells), offset_of(found.coupled.boundary.width)
+    length, inset = bubble(found, cells), offset_of(found.scene.coupled.boundary.width)
     yield check_or_report(f"C_D at Re 40, D = {cells}", last, TAIRA["C_D"], room.get("C_D"))
     yield check_or_report(f"bubble l / D at Re 40, D = {cells}", length, TAIRA["l / D"], room.get("l / D"))
     yield reported("the same of the markers' own circle", (length * cells + inset) / (cells - 2 * inset), TAIRA["l / D"])

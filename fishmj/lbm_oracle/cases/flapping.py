@@ -18,19 +18,14 @@ records differ in the time of this: only the rms of the lift is gated.
 
 from collections.abc import Callable
 from math import pi
+from typing import Any
 
-import mujoco
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, below, register, reported
-from fishmj.lbm_oracle.cases.cylinder import Strip
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
-from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
-from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import CLAMP, SHEET, Markers, offset_of
-from fishmj.mjcf import passive_slot
+from fishmj.lbm_oracle.immersed.shapes import BodyShape
+from fishmj.lbm_oracle.scene import Scene
 
 REYNOLDS, SWING, THICKNESS, TURN = 75.0, 2.8, 0.10, pi / 4
 FASTEST = 0.08  # lattice units, of the middle of the chord
@@ -58,25 +53,6 @@ VORTEX_DRAG = np.array([
     1.3, 1.25, 1.13, 0.89, 0.56, 0.2, -0.18, -0.57, -0.78, -1.07,
 ])
 # fmt: on
-
-
-def moved_body(joints: dict[str, str], at, dt: float, *, displaced: float = 0.0, inertia=(0.0, 0.0, 0.0)) -> ImmersedBody:
-    """One link at `at` (3,) m on joints, the outermost first: name -> "slide x", "hinge z", ..; its velocity is prescribed.
-
-    Args:
-        displaced: mass of the water inside, kg. inertia: (3,) of that water about the link's origin, kg m2.
-    """
-    spec = mujoco.MjSpec()
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    spec.option.gravity = [0, 0, 0]
-    link = spec.worldbody.add_body(name="body", pos=[float(a) for a in at])
-    link.mass, link.inertia, link.ipos, link.explicitinertial = 1.0, [1.0] * 3, [0, 0, 0], True  # its mass does not matter
-    kinds = {"slide": mujoco.mjtJoint.mjJNT_SLIDE, "hinge": mujoco.mjtJoint.mjJNT_HINGE}
-    for name, what in joints.items():
-        kind, axis = what.split()
-        link.add_joint(name=name, type=kinds[kind], axis=np.eye(3)["xyz".index(axis)])
-    water = DisplacedWater(mass=np.array([displaced]), centre=np.zeros((1, 3)), inertia=np.diag(inertia)[None])
-    return ImmersedBody(passive_slot.compiled(spec), water, dt)
 
 
 def section_markers(front: float, rear: float, half: Callable[[np.ndarray], np.ndarray]) -> Markers:
@@ -122,6 +98,21 @@ def ellipse_markers(cells: int, thickness: float = THICKNESS) -> Markers:
     return section_markers(-a, a, lambda x: b * np.sqrt(np.maximum(1 - (x / a) ** 2, 0.0)))
 
 
+def ellipse(cells: int) -> BodyShape:
+    """An ellipse of `cells` cells along x, full of water."""
+    volume = pi / 4 * THICKNESS * cells**2
+    inertia = np.eye(3) * volume * (1 + THICKNESS**2) * cells**2 / 16
+    options: dict[str, Any] = {
+        "size": cells,
+        "area": cells,
+        "front": THICKNESS * cells,
+        "volume": volume,
+        "inertia": inertia,
+        "flat": True,
+    }
+    return BodyShape(name="ellipse", markers=lambda dx: ellipse_markers(cells), **options)
+
+
 def stroke(phase):
     """Position of the middle in chords, and angle of the chord, at phases in periods."""
     return SWING / 2 * np.cos(2 * pi * np.asarray(phase)), pi / 2 + TURN * np.sin(2 * pi * np.asarray(phase))
@@ -143,31 +134,11 @@ def hover(cells: int, device: str, *, box: float = 30.0, periods: int = PERIODS,
     every = round(pi * SWING * cells / FASTEST / samples)
     steps = every * samples  # a period
     speed = pi * SWING * cells / steps  # U in lattice units that whole steps make of it
-    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=speed * cells / REYNOLDS)
-    wall, shape = Axis("wall", "wall"), (round(box * cells), round(box * cells), 1)
-    water = Fluid(lattice, shape, device, subgrid="none", boundaries=Boundaries(x=wall, y=wall))
-    inside = pi / 4 * THICKNESS * cells**2
-    spin = inside * (1 + THICKNESS**2) * cells**2 / 16
-    body = moved_body(
-        {"x": "slide x", "y": "slide y", "turn": "hinge z"},
-        (shape[0] / 2 + 0.2, shape[1] / 2 - 0.3, 0.0),
-        1.0,
-        displaced=inside,
-        inertia=(spin, spin, spin),
-    )
-    place, alpha = stroke(np.arange(steps + 1) / steps)
-    path = np.stack([place * cells, 0 * place, alpha], -1)
-    rate = np.diff(path, axis=0)
-    body.place(path[0], [0.0, 0.0, rate[0, 2]])  # its water turns with it from the start
-    markers = ellipse_markers(cells)
-    moved = FluidStructure(water, body, markers, slip=0.0)
-    moved.boundary = Strip(markers, body, water, slip=0.0)
-    force, fixed, unit = np.zeros((periods * samples, 2)), np.ones(3), speed**2 * cells
-    for n in range(periods * samples):
-        for i in range(every):
-            moved.step(fixed, rate[(n % samples) * every + i])
-        _, whole = moved.take_wrench(every)
-        force[n] = whole[0, :2] / unit
+    wall = Scene((box * cells, box * cells), 1.0, speed * cells / REYNOLDS, rho=1.0, dt=1.0, sides="wall", device=device)
+    path = lambda step: np.array([1.0, 0.0, 0.0]) * stroke(step / steps)[0] * cells + [0.0, 0.0, stroke(step / steps)[1]]
+    place = np.array(wall.extent) / 2 + [0.7, 0.2]
+    wall.add(ellipse(cells), place, joints=("slide x", "slide y", "hinge z"), motion=path)
+    force = wall.run(periods * steps, every).wrench[:, 0, :2] / (speed**2 * cells)
     lift, drag = denominators()
     ahead = np.where((np.arange(periods * samples) % samples) * 2 < samples, 1.0, -1.0)  # it moves towards -x first
     return np.stack([force[:, 1] / lift, ahead * force[:, 0] / drag], -1)

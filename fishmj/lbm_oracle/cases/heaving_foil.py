@@ -18,19 +18,14 @@ not, and is reported only.
 """
 
 from math import pi, radians
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, above, register, reported
-from fishmj.lbm_oracle.cases.cylinder import Strip
-from fishmj.lbm_oracle.cases.flapping import moved_body, section_markers
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
-from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import Markers
-from fishmj.water.flow import Flow
+from fishmj.lbm_oracle.cases.flapping import section_markers
+from fishmj.lbm_oracle.immersed.shapes import BodyShape
+from fishmj.lbm_oracle.scene import Scene
 
 REYNOLDS, HEAVE, ATTACK, PIVOT = 4e4, 0.75, radians(15.0), 1 / 3
 STREAM = 0.06  # lattice units; the foil heaves at pi St times that
@@ -54,9 +49,10 @@ def thickness(s) -> np.ndarray:
     return 0.6 * (0.2969 * np.sqrt(s) - 0.1260 * s - 0.3516 * s**2 + 0.2843 * s**3 - 0.1015 * s**4)
 
 
-def foil_markers(cells: int) -> Markers:
-    """The foil of `cells` cells a chord, nose towards -x, its pivot at the origin of link 0."""
-    return section_markers(-PIVOT * cells, (1 - PIVOT) * cells, lambda x: cells * thickness(x / cells + PIVOT))
+def foil(cells: int) -> BodyShape:
+    """The foil of `cells` cells a chord, nose towards -x, its pivot at the origin."""
+    markers = section_markers(-PIVOT * cells, (1 - PIVOT) * cells, lambda x: cells * thickness(x / cells + PIVOT))
+    return BodyShape(name="foil", markers=lambda dx: markers, size=cells, area=cells, front=0.12 * cells, flat=True)
 
 
 def motion(phase, strouhal: float) -> np.ndarray:
@@ -72,27 +68,16 @@ def propel(cells: int, strouhal: float, device: str, *, box=BOX, cycles: int = C
     every = round(cells / (frequency * STREAM) / SAMPLES)
     steps = every * SAMPLES
     stream = cells / (frequency * steps)
-    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=stream * cells / REYNOLDS)
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), sponge=max(8, cells // 2))
-    shape = (round(box[0] * cells), round(box[1] * cells), 1)
-    water = Fluid(lattice, shape, device, boundaries=faces, flow=Flow(speed=stream))
-    at = (AHEAD * shape[0] + 0.2, shape[1] / 2 - 0.3, 0.0)
-    body = moved_body({"heave": "slide y", "pitch": "hinge z"}, at, 1.0)
-    path = motion(np.arange(steps + 1) / steps, strouhal) * [cells, 1.0]
-    rate = np.diff(path, axis=0)
-    body.place(path[0], rate[0])
-    markers = foil_markers(cells)
-    driven = FluidStructure(water, body, markers, slip=0.0)
-    driven.boundary = Strip(markers, body, water, slip=0.0)
-    unit, fixed, thrust, power = 0.5 * stream**2 * cells, np.ones(2), [], []
-    for n in range(cycles * SAMPLES):
-        first = (n % SAMPLES) * every
-        for i in range(first, first + every):
-            driven.step(fixed, rate[i])
-        raw, _ = driven.take_wrench(every)
-        heave, pitch = rate[first : first + every].mean(0)
-        thrust.append(-raw[0, 0] / unit)
-        power.append(-(raw[0, 1] * heave + raw[0, 5] * pitch) / (unit * stream))
+    options: dict[str, Any] = {"sides": "open", "sponge": max(8, cells // 2), "subgrid": "wale", "device": device}
+    driven = Scene(np.multiply(box, cells), 1.0, stream * cells / REYNOLDS, stream, rho=1.0, dt=1.0, **options)
+    place = np.multiply(driven.extent, [AHEAD, 0.5]) + [0.7, 0.2]
+    path = lambda step: motion(step / steps, strouhal) * [cells, 1.0]
+    driven.add(foil(cells), place, joints=("slide y", "hinge z"), motion=path)
+    wrench = driven.run(cycles * steps, every).wrench[:, 0]
+    rate = np.diff(path(every * np.arange(cycles * SAMPLES + 1)), axis=0) / every
+    unit = 0.5 * stream**2 * cells
+    power = -(wrench[:, [1, 5]] * rate).sum(1) / (unit * stream)
+    thrust = -wrench[:, 0] / unit
     last = slice(-judged * SAMPLES, None)
     return Propulsion(float(np.mean(thrust[last])), float(np.mean(thrust[last]) / np.mean(power[last])))
 

@@ -16,27 +16,20 @@ import numpy as np
 
 from fishmj.lbm_oracle.cases import about, register, reported
 from fishmj.lbm_oracle.cases.cylinder import cylinder
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 
 KC, REYNOLDS, SPEED = 5.0, 100.0, 0.06  # greatest speed in lattice units
 PHASE = np.array([0.0, 0.1, 0.2, 0.3, 0.3993, 0.5, 0.6, 0.7, 0.8, 0.8993])  # of the period, u = -U at 0
 FORCE = np.array([1.0018, -0.0176, -1.1072, -1.6063, -1.6063, -1.0580, 0.0457, 1.0931, 1.5993, 1.6063])  # rho U^2 D
 
 
-def swing(cells: int, periods: int, device: str, *, box: float = 16.0, samples: int = 200, **options) -> np.ndarray:
+def swing(cells: int, periods: int, device: str, *, box: float = 16.0, samples: int = 200) -> np.ndarray:
     """In-line force on a swinging cylinder of `cells` cells over its last period, (samples,) in rho U^2 D, from u = -U on."""
-    side = Axis("wall", "wall")
-    still = cylinder(cells, SPEED, REYNOLDS, (box, box), (0.5, 0.5), device, faces=Boundaries(x=side, y=side), **options)
     every = max(1, round(KC * cells / SPEED / samples))
     steps = every * samples  # a period
     speed = KC * cells / steps  # that whole steps make of it
-    force, fixed = np.zeros(samples), np.ones(2)
-    for n in range(periods * samples):
-        for i in range(n * every, (n + 1) * every):
-            still.step(fixed, [-speed * np.cos(2 * pi * (i + 1) / steps), 0.0])
-        _, whole = still.take_wrench(every)
-        force[n % samples] = whole[0, 0] / (speed**2 * cells)
-    return force
+    path = lambda step: (-KC * cells / (2 * pi) * np.sin(2 * pi * step / steps), 0.0)
+    still = cylinder(cells, SPEED, REYNOLDS, (box, box), (0.5, 0.5), device, sides="wall", motion=path)
+    return still.run(periods * steps, every).wrench[-samples:, 0, 0] / (speed**2 * cells)
 
 
 def at(phase: np.ndarray, force: np.ndarray) -> np.ndarray:

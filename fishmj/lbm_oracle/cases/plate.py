@@ -19,19 +19,14 @@ Source: an oil tow tank, Taira, Dickson, Colonius, Dickinson and Rowley 2007, AI
 straight lines. PetIBM's own plate, 25 cells a chord, is its example `flatplate3dRe100_GPU`.
 """
 
-from math import cos, radians, sin
+from typing import Any
 
 import numpy as np
 
+from fishmj.lbm_oracle import scene
 from fishmj.lbm_oracle.cases import about, register, reported
-from fishmj.lbm_oracle.cases.cylinder import Strip
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
-from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed.body import ImmersedBody
-from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import CLAMP, PLAIN, Markers, Sharpness
-from fishmj.water.flow import Flow
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
+from fishmj.lbm_oracle.scene import Scene
 
 REYNOLDS, ASPECT, STREAM = 100.0, 2.0, 0.06  # stream in lattice units
 BOX, AHEAD = (9.0, 8.0, 8.0), 4 / 9  # chords; share of the box before the plate
@@ -53,45 +48,17 @@ LIFT, DRAG = 0.08, 0.12  # tolerances of the limits from 10 to 60 deg, set befor
 FRICTION = 0.05  # edge-on, of the limit
 
 
-def plate_markers(cells: int, angle: float, *, span: float = ASPECT, sharpness: Sharpness = PLAIN) -> Markers:
-    """A plate of `cells` cells by `span` times that, leading edge up by `angle` rad, its middle at the origin of link 0."""
-    _, inset = sharpness.insets()
-    half = [size / 2 - min(inset, CLAMP * size / 2) for size in (cells, span * cells)]
-    counts = [max(1, round(2 * h)) for h in half]
-    sides = (h * (2 * (np.arange(n) + 0.5) / n - 1) for h, n in zip(half, counts, strict=True))
-    s, z = (column.ravel() for column in np.meshgrid(*sides, indexing="ij"))
-    area = 4 * half[0] * half[1] / s.size
-    normal = np.broadcast_to([sin(angle), cos(angle), 0.0], (s.size, 3))
-    return Markers.rigid(np.stack([s * cos(angle), -s * sin(angle), z], -1), normal, area, sheet=True, sharpness=sharpness)
-
-
 def hold(
-    cells: int,
-    angle: float,
-    device: str,
-    *,
-    box=BOX,
-    end: float = END,
-    settled: float = SETTLED,
-    sharpness: Sharpness = PLAIN,
-    **options,
+    cells: int, angle: float, device: str, *, box=BOX, end: float = END, settled: float = SETTLED, sharpness: Sharpness = PLAIN
 ) -> np.ndarray:
-    """Mean (C_L, C_D) of a plate of `cells` cells a chord at `angle` deg, `settled` to `end` c / U; options: of the coupling."""
-    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=STREAM * cells / REYNOLDS)
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), z=Axis("slip", "slip"), sponge=max(8, cells // 2))
-    shape = tuple(round(b * cells) for b in box)
-    water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=Flow(speed=STREAM))
-    body = ImmersedBody.on_slides("xyz", 1.0, [1.0] * 3, 0.0, [0.0] * 3, 1.0)  # a sheet holds no water; its mass does not matter
-    body.place(np.array(shape) * [AHEAD, 0.5, 0.5] + [0.2, -0.3, -0.4])  # off the nodes, as a fish is
-    held = FluidStructure(water, body, plate_markers(cells, radians(angle), sharpness=sharpness), slip=0.0, **options)
-    still = np.ones(3), np.zeros(3)
+    """Mean (C_L, C_D) of a plate of `cells` cells a chord at `angle` deg, leading edge up, `settled` to `end` c / U."""
+    options: dict[str, Any] = {"sides": "open", "sponge": max(8, cells // 2), "device": device}
+    held = Scene(np.multiply(box, cells), 1.0, STREAM * cells / REYNOLDS, STREAM, rho=1.0, dt=1.0, **options)
+    place = np.multiply(held.extent, [AHEAD, 0.5, 0.5]) + [0.7, 0.2, 0.1]  # off the nodes, as a fish is
+    held.add(scene.plate(cells, ASPECT * cells, angle=angle, sharpness=sharpness), place)
     first, last = (round(times * cells / STREAM) for times in (settled, end))
-    for n in range(last):
-        if n == first:
-            held.take_wrench(1.0)
-        held.step(*still)
-    raw, _ = held.take_wrench(last - first)
-    return raw[0, [1, 0]] / (0.5 * STREAM**2 * ASPECT * cells**2)
+    held.run(last)
+    return held.coefficients()[first:, [1, 0]].mean(0)
 
 
 def greatest(angles, lift) -> tuple[float, float]:
@@ -108,27 +75,12 @@ def limit(coarse: int, one, fine: int, other):
 
 def edge_on(cells: int, device: str, *, box=(8, 6), end: float = 8.0, sharpness: Sharpness = PLAIN) -> float:
     """C_D of a sheet of `cells` cells along the stream, in a strip one cell deep; mean over the last fifth of `end` c / U."""
-    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=STREAM * cells / REYNOLDS)
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), sponge=8)
-    shape = (box[0] * cells, box[1] * cells, 1)
-    water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=Flow(speed=STREAM))
-    body = ImmersedBody.on_slides("xy", 1.0, [1.0] * 3, 0.0, [0.0] * 3, 1.0)
-    body.place(np.array(shape[:2]) * [0.4, 0.5] + [0.2, -0.3])
-    half = cells / 2 - sharpness.insets()[1]
-    n = round(2 * half)
-    x = half * (2 * (np.arange(n) + 0.5) / n - 1)
-    normal = np.broadcast_to([0.0, 1.0, 0.0], (n, 3))
-    markers = Markers.rigid(np.outer(x, [1.0, 0, 0]), normal, 2 * half / n, sheet=True, sharpness=sharpness)
-    held = FluidStructure(water, body, markers, slip=0.0)
-    held.boundary = Strip(markers, body, water, slip=0.0)
+    options: dict[str, Any] = {"sides": "open", "sponge": 8, "device": device}
+    held = Scene(np.multiply(box, cells), 1.0, STREAM * cells / REYNOLDS, STREAM, rho=1.0, dt=1.0, **options)
+    held.add(scene.plate(cells, sharpness=sharpness), np.multiply(held.extent, [0.4, 0.5]) + [0.7, 0.2])
     last = round(end * cells / STREAM)
-    first = round(0.8 * last)
-    for n in range(last):
-        if n == first:
-            held.take_wrench(1.0)
-        held.step(np.ones(2), np.zeros(2))
-    raw, _ = held.take_wrench(last - first)
-    return float(raw[0, 0] / (0.5 * STREAM**2 * cells))
+    held.run(last)
+    return held.drag_coefficient(last - round(0.8 * last))
 
 
 def triple_deck(reynolds: float) -> float:

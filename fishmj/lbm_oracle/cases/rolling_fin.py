@@ -21,19 +21,15 @@ It is compared with PetIBM, whose body is also a sheet.
 """
 
 from math import ceil, pi, radians
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, above, below, register, reported
-from fishmj.lbm_oracle.cases.flapping import moved_body
 from fishmj.lbm_oracle.cases.plate import limit
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
-from fishmj.lbm_oracle.fluid.fluid import Fluid
-from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import PLAIN, SHARP, Markers, Sharpness
-from fishmj.water.flow import Flow
+from fishmj.lbm_oracle.immersed.shapes import BodyShape
+from fishmj.lbm_oracle.scene import Scene
 
 REYNOLDS, ASPECT, SWING = 200.0, 1.27, radians(45.0)
 SPAN = pi * ASPECT / 4  # chords
@@ -123,31 +119,19 @@ def flap(
     every = round(greatest_rim_speed(strouhal, lag) * cells / (frequency * FASTEST) / samples)
     steps = every * samples
     stream = cells / (frequency * steps)
-    lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=stream * cells / REYNOLDS)
-    faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), z=Axis("slip", "slip"), sponge=max(8, cells // 2))
-    shape = tuple(round(b * cells) for b in box)
-    water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces, flow=Flow(speed=stream))
-    hinge = np.array(shape) * [0.35, 0.5, 0.5] - [0.0, 0.0, SPAN * cells / 2] + [0.2, -0.3, -0.4]  # off the nodes, as a fish is
-    body = moved_body({"roll": "hinge x", "pitch": "hinge z"}, hinge, 1.0)
-    path = angles(np.arange(steps + 1) / steps, lag)
-    rate = np.diff(path, axis=0)
-    body.place(path[0], rate[0])
-    driven = FluidStructure(water, body, fin_markers(cells, sharpness), slip=0.0)
-    unit, fixed, made = 0.5 * stream**2 * AREA * cells**2, np.ones(2), []
-    for _ in range(cycles):
-        force, power = np.zeros((samples, 3)), np.zeros(samples)
-        for n in range(samples):
-            for i in range(n * every, (n + 1) * every):
-                driven.step(fixed, rate[i])
-            raw, _ = driven.take_wrench(every)
-            force[n] = raw[0, :3] * [-1, 1, 1] / unit
-            middle = (n + 0.5) * every
-            spin = rate[int(middle)]
-            roll = path[int(middle), 0]
-            about_world = spin[0] * np.array([1.0, 0, 0]) + spin[1] * np.array([0.0, -np.sin(roll), np.cos(roll)])
-            power[n] = -raw[0, 3:] @ about_world / (unit * stream)
-        made.append(Cycle(force, power))
-    return made
+    options: dict[str, Any] = {"sides": "open", "sponge": max(8, cells // 2), "device": device}
+    driven = Scene(np.multiply(box, cells), 1.0, stream * cells / REYNOLDS, stream, rho=1.0, dt=1.0, **options)
+    hinge = np.multiply(driven.extent, [0.35, 0.5, 0.5]) - [0.0, 0.0, SPAN * cells / 2] + [0.7, 0.2, 0.1]  # off the nodes
+    area, make = AREA * cells**2, lambda dx: fin_markers(cells, sharpness)
+    fin = BodyShape(name="fin", markers=make, size=cells, area=area, front=area)
+    driven.add(fin, hinge, joints=("hinge x", "hinge z"), motion=lambda step: angles(step / steps, lag))
+    wrench = driven.run(cycles * steps, every).wrench[:, 0].reshape(cycles, samples, 6)
+    middle = every * (np.arange(samples) + 0.5) // 1
+    roll, spin = angles(middle / steps, lag)[:, 0], angles((middle + 1) / steps, lag) - angles(middle / steps, lag)
+    span = np.stack([0 * roll, -np.sin(roll), np.cos(roll)], -1)
+    about_world = spin[:, :1] * [1.0, 0.0, 0.0] + spin[:, 1:] * span
+    power = -(wrench[..., 3:] * about_world).sum(-1) / (0.5 * stream**3 * area)
+    return [Cycle(*pair) for pair in zip(wrench[..., :3] * [-1, 1, 1] / (0.5 * stream**2 * area), power, strict=True)]
 
 
 def figures(cells: int, cycle: Cycle, strouhal: float, psi: float):

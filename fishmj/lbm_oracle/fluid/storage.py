@@ -326,6 +326,60 @@ def poke3_at(values: wp.array(dtype=wp.vec3s), base: int, i: int, part: int, val
     ...
 
 
+CELLS_AT_ONCE = 16  # numbers in a vector register, at most
+_LANES = f"typedef float lanes __attribute__((vector_size({4 * CELLS_AT_ONCE}), aligned(4)));"
+
+
+@wp.func_native(_LANES + "*(lanes*)(target.data + j) = *(const lanes*)(source.data + i);")
+def copy_cells(source: wp.array(dtype=wp.float32), i: int, target: wp.array(dtype=wp.float32), j: int):
+    """Copies `CELLS_AT_ONCE` populations in single precision on a CPU."""
+    ...
+
+
+@wp.func_native(
+    f"for (int k = 0; k < {CELLS_AT_ONCE}; ++k) target.data[j + k] = wp::float32(source.data[i + k]) * 3.0517578125e-05f;"
+)
+def copy_cells(source: wp.array(dtype=wp.float16), i: int, target: wp.array(dtype=wp.float32), j: int):  # noqa: F811
+    """Loads `CELLS_AT_ONCE` populations that are stored in half precision."""
+    ...
+
+
+@wp.func_native(f"for (int k = 0; k < {CELLS_AT_ONCE}; ++k) target.data[j + k] = wp::float16(source.data[i + k] * 32768.0f);")
+def copy_cells(source: wp.array(dtype=wp.float32), i: int, target: wp.array(dtype=wp.float16), j: int):  # noqa: F811
+    """Stores `CELLS_AT_ONCE` populations in half precision."""
+    ...
+
+
+def _ask(lines: int = 1) -> str:
+    """Native text that asks for cache lines to read from `i` on, and to write from `j` on."""
+    ask = "__builtin_prefetch((const char*)({0}) + 64 * k, {1});"
+    return f"for (int k = 0; k < {lines}; ++k) {{ {ask.format('source.data + i', 0)} {ask.format('target.data + j', 1)} }}"
+
+
+@wp.func_native(_ask())
+def prefetch(source: wp.array(dtype=wp.float32), i: int, target: wp.array(dtype=wp.float32), j: int):
+    """Asks a CPU's cache for populations in single precision: from i on to be read, from j on to be written."""
+    ...
+
+
+@wp.func_native(_ask())
+def prefetch(source: wp.array(dtype=wp.float16), i: int, target: wp.array(dtype=wp.float16), j: int):  # noqa: F811
+    """Asks a CPU's cache for populations in half precision."""
+    ...
+
+
+@wp.func_native(_ask(2))
+def prefetch(source: wp.array(dtype=wp.vec3s), i: int, target: wp.array(dtype=wp.vec3s), j: int):  # noqa: F811
+    """Asks a CPU's cache for `CELLS_AT_ONCE` velocities of 16-bit integers."""
+    ...
+
+
+@wp.func_native(_ask(3))
+def prefetch(source: wp.array(dtype=wp.vec3), i: int, target: wp.array(dtype=wp.vec3), j: int):  # noqa: F811
+    """Asks a CPU's cache for `CELLS_AT_ONCE` velocities."""
+    ...
+
+
 # the following avoid Warp's indexing too: the time of code that runs once grows with its number of instructions
 
 

@@ -35,7 +35,7 @@ from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -198,6 +198,7 @@ def biases(rows: Iterable[dict]) -> list[dict]:
 def main(argv: list[str]) -> int:
     """Runs the verb `converge fish`; returns its exit code."""
     args = _parser().parse_args(argv)
+    args.slips = study_slips("lbm_oracle converge fish", args.slips, args.boundary, SLIPS)
     keys = study(args.what, args.grids, args.parts, args.slips)
     robot = load_robot(args.robot)
     plan = AveragingTimes(settle=args.settle, seconds=args.seconds, length=robot.length)
@@ -245,7 +246,7 @@ def _parser() -> console.Parser:
     parts = "time steps, as parts of the paper's Courant number"
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
-    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    add("--slips", type=console.number(0, 1), **several, metavar="S", help=f"{slip}; default {' '.join(f'{s:g}' for s in SLIPS)}")
     boundary_option(add)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")

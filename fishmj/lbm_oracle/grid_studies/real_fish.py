@@ -37,7 +37,7 @@ from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.mjcf import load_robot
 
@@ -194,6 +194,7 @@ def _robot() -> str:
 def main(argv: list[str]) -> int:
     """Runs the verb `real_fish`; returns its exit code."""
     args = _parser().parse_args(argv)
+    args.slips = study_slips("lbm_oracle real_fish", args.slips, args.boundary, SLIPS)
     domain = preset(args.domain)
     real = [swim for swim in swims() if args.which == "all" or swim.sets == (args.which == "setting")][-args.swims :]
     domain = domain if args.dx is None else domain.changed(dx=args.dx)
@@ -265,7 +266,7 @@ def _parser() -> console.Parser:
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
-    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    add("--slips", type=console.number(0, 1), **several, metavar="S", help=f"{slip}; default {' '.join(f'{s:g}' for s in SLIPS)}")
     boundary_option(add)
     add("--beats", type=console.number(0, 1000, above=True), default=BEATS, help="of each swim; the last two count")
     add("--which", choices=("all", "setting", "judging"), default="all", help="those that set the slip ratio, or the others")

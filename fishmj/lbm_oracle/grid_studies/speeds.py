@@ -30,7 +30,7 @@ from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
 from fishmj.lbm_oracle.run.swim import figures
 from fishmj.mjcf import load_robot
@@ -128,6 +128,7 @@ def swim_keys(
 def main(argv: list[str]) -> int:
     """Runs the verb `speeds`; returns its exit code."""
     args = _parser().parse_args(argv)
+    args.slips = study_slips("lbm_oracle speeds", args.slips, args.boundary, SLIPS)
     box, robot, edge = preset(args.preset), load_robot(args.robot), BOUNDARIES[args.boundary]
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = swim_keys(args.frequencies, args.amplitudes, args.lags, args.slips, depths)
@@ -177,7 +178,7 @@ def _parser() -> console.Parser:
     lag = console.number(-180, 180)
     add("--lags", type=lag, **several, default=[OF_THE_PAPER["lag_deg"]], metavar="DEG", help="from joint to joint")
     slip = "quoted at the paper's grid: 1 slides, 0 sticks"
-    add("--slips", type=console.number(0, 1), **several, default=list(SLIPS), metavar="S", help=slip)
+    add("--slips", type=console.number(0, 1), **several, metavar="S", help=f"{slip}; default {' '.join(f'{s:g}' for s in SLIPS)}")
     add("--depths", type=console.number(0.05, 10), **several, metavar="M", help="of the water; the domain's own by default")
     boundary_option(add)
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")

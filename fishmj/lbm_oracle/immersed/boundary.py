@@ -23,7 +23,7 @@ from fishmj.lbm_oracle.fluid.domain_faces import FACES
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.guard import check_spacing, numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed import fsi_solve, kernels
+from fishmj.lbm_oracle.immersed import fsi_solve, kernels, wall_law
 from fishmj.lbm_oracle.immersed.kernels import check_width
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import Markers
@@ -66,7 +66,7 @@ class Boundary:
         body: degrees of freedom and motion axes.
         width: points of the kernel, 3 or 4.
         passes: passes of the direct forcing.
-        slip: slip ratio quoted at the paper's grid.
+        slip: slip ratio quoted at the paper's grid; 1 for markers with a `law_height`, whose ratios follow from a law.
 
     If links can part without bounds, as two free bodies can, the scratch box spans all of the water on those axes
     (`spanned_axes`).
@@ -88,6 +88,10 @@ class Boundary:
         if n == 0:
             raise ConfigError("immersed boundary: no markers")
         _check_links(markers, body)
+        if markers.law_height is not None and slip < 1:
+            raise ConfigError(
+                f"immersed boundary: slip = {slip} with a law for the wall's stress, which sets it; leave slip at 1"
+            )
         apart = float(np.sqrt(np.median(markers.area)))
         check_spacing(lattice, apart / ROOM if apart > lattice.dx else apart * ROOM, "immersed boundary")
         self.count, self.rhs = n, self.dofs + 1
@@ -110,6 +114,10 @@ class Boundary:
         self.share = make(markers.share.astype(float), wp.float64)
         self.volume = make((markers.area / lattice.dx**2).astype(np.float32), wp.float32)
         self.slips = make(slips_of(markers, self.slip, lattice.nu_lu, self.passes).astype(np.float32), wp.float32)
+        self.law = wall_law.law_of(markers, lattice.dx, lattice.nu_lu, device)
+        self.has_law = self.law.height > 0
+        self.reach = max(width / 2, self.law.height + 1 if self.has_law else 0.0)  # cells round a marker that it reads
+        self._probed = wp.zeros((n if self.has_law else 0, 2 * wall_law.NODES), dtype=wp.vec3, device=device)
         self.moves, self.slides = make(body.reach, wp.float64), make(body.slides, wp.int32)
         empty = lambda shape, dtype: wp.zeros(shape, dtype=dtype, device=device)
         self.host = empty(self.layout.size, wp.float64)
@@ -130,7 +138,7 @@ class Boundary:
         self.elimination = empty(self.dofs * self.rhs, wp.float64), empty(self.dofs, wp.int32), empty(self.dofs, wp.int32)
         self.target, self._wrench = empty(self.dofs, wp.float64), empty((self.links, 6), wp.float64)
         sent, returned = (_device_view(array, device) for array in (self.staging, self.inbox))
-        first = self.layout.system  # the place of the body goes ahead of its equation
+        first = self.layout.system  # place and velocity of the body go ahead of its equation
         self._transfers = [(sent[:first], self.host[:first]), (sent[first:], self.host[first:])]
         velocity, impulse = self.dofs, self.dofs + 6 * self.links
         self._velocity, self._interior_speed = returned[:velocity], returned[impulse:]
@@ -154,12 +162,13 @@ class Boundary:
         self.view["origin"][:] = lattice.corner
 
     def place_markers(self, body, origin: np.ndarray) -> None:
-        """Writes the pose of the body into the staging block; `origin` (3,) is the fluid's low corner, a world node.
+        """Writes pose and velocity of the body into the staging block; `origin` (3,) is the fluid's low corner, a world node.
 
         Raises:
-            ConfigError: a marker is nearer to a face than half a kernel: it would read and push water of the other side.
+            ConfigError: a marker is nearer to a face than `reach`: it would read and push water of the other side.
         """
         self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
+        self.view["before"][:] = body.data.qvel
         found, first, dx = body.corner_box(self.corners).tolist(), origin.tolist(), self.lattice.dx
         if not np.isfinite(body.pose).all():
             raise ConfigError("immersed boundary: the body's place is not finite; see body.data.qpos")
@@ -174,16 +183,17 @@ class Boundary:
         for a in self._walled_axes:  # plain numbers: a handful is faster so than in NumPy
             corner = self.lattice.corner[a] + first[a] * dx
             room = min((found[a] - corner) / dx, self.shape[a] - 1 - (found[3 + a] - corner) / dx)
-            if room < self.width / 2:
+            if room < self.reach:
                 raise ConfigError(
-                    f"immersed boundary: a marker is {room:.2f} cells from the outermost nodes of axis {'xyz'[a]}, and its kernel"
-                    f" reaches {self.width / 2:g}, across to the other side; keep the body further in, or enlarge the box"
+                    f"immersed boundary: a marker is {room:.2f} cells from the outermost nodes of axis {'xyz'[a]}, and"
+                    f" {'the law of its wall' if self.has_law else 'its kernel'} reaches {self.reach:g}, across to the other"
+                    " side; keep the body further in, or enlarge the box"
                 )
 
-    def set_equation(self, system, right, velocity, fixed=None, value=None) -> None:
+    def set_equation(self, system, right, fixed=None, value=None) -> None:
         """Writes the body's equation into the staging block; `fixed` (n,) marks velocities that are prescribed by `value`."""
         view = self.view
-        view["system"][:], view["momentum"][:], view["before"][:] = system, right, velocity
+        view["system"][:], view["momentum"][:] = system, right
         if fixed is not None or self._had_prescribed:
             view["fixed"][:] = 0.0 if fixed is None else fixed
             view["value"][:] = 0.0 if value is None else value
@@ -217,6 +227,12 @@ class Boundary:
         self._launch(kernels.pose, n, pose_in, [force_box, self.world, self.cell, self.normal, self.store, self.jacobian])
         read_in = [f, self.body_acceleration, self.cell, self.store, w, shape]
         self._launch(kernels.read_cells, (n, w**3), read_in, [self.box_u, self.box_rho])
+        if self.has_law:
+            law_in = [self.host, self.layout, self.law]
+            probe_in = [*law_in, f, self.body_acceleration, self.world, self.normal, wp.float64(lat.dx), shape]
+            self._launch(wall_law.probe_water, self._probed.shape, probe_in, [self._probed])
+            slip_in = [*law_in, self.cell, self.normal, self.jacobian, w, self.box_u, self._probed]
+            self._launch(wall_law.set_slips, n, slip_in, [self.slips])
         target_in = [self.cell, self.normal, self.jacobian, self.slips, w, self.box_u]
         self._launch(kernels.set_target, (n, self.rhs), target_in, [self.wanted, self.force])
         for _ in range(self.passes - 1):
@@ -224,7 +240,8 @@ class Boundary:
             self._launch(kernels.spread, (n, self.rhs, w), [self.cell, self.volume, self.force, w, self.box_rho], [self.scratch])
             for a in self.spanned_axes:
                 self._fold(a)
-            self._launch(kernels.correct, (n, self.rhs), [self.cell, self.wanted, w, self.scratch], [self.force])
+            correct_in = [self.cell, self.normal, int(self.has_law), self.wanted, w, self.scratch]
+            self._launch(kernels.correct, (n, self.rhs), correct_in, [self.force])
         # float32 forces, float64 sums: K couples the masses of trunk and tail in one solve
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx  # J is in cells a step: back to SI on both sides
         self._launch(fsi_solve.response_part, self.part.shape, [self.jacobian, self.volume, self.force], [self.part])
@@ -369,8 +386,8 @@ def _device_view(array: wp.array, device) -> wp.array:
 def _shapes(links: int, dofs: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the fields of the host block, in their order."""
     shapes: dict[str, tuple[int, ...]] = {"frame": (links, 12), "angle": (links,), "axis": (dofs, 3), "anchor": (dofs, 3)}
-    shapes |= {"origin": (3,), "box": (3,), "system": (dofs, dofs), "momentum": (dofs,)}
-    return shapes | {name: (dofs,) for name in ("before", "fixed", "value")} | {"reset_wrench": (1,)}
+    shapes |= {"origin": (3,), "box": (3,), "before": (dofs,), "system": (dofs, dofs)}
+    return shapes | {name: (dofs,) for name in ("momentum", "fixed", "value")} | {"reset_wrench": (1,)}
 
 
 def _layout(links: int, dofs: int) -> kernels.CouplingArrays:

@@ -176,7 +176,7 @@ class FluidStructure:
         elif value is not None:
             raise ConfigError("coupled: a value and no `fixed`; expected fixed (n,), 1 where the velocity is prescribed")
         system, right = body.equation(interior=self.interior)
-        self.boundary.set_equation(system, right, body.data.qvel, fixed, value)
+        self.boundary.set_equation(system, right, fixed, value)
         self._queue("solution")
 
     def push_water(self) -> None:

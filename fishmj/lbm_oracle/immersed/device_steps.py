@@ -169,7 +169,7 @@ class DeviceSteps:
         fixed = np.zeros(body.dofs) if held is None else np.asarray(held, float)
         self._queued = []  # a new start gives up all sets in flight
         self.coupled.place_markers()
-        self.boundary.set_equation(body.system, 0.0, body.data.qvel, fixed, 0.0)  # the device finds the rest anew
+        self.boundary.set_equation(body.system, 0.0, fixed, 0.0)  # the device finds the rest anew
         sent = self._host[(self._runs + 1) % 2].sent
         sent["qpos"][:], sent["qvel"][:] = body.data.qpos, body.data.qvel
         sent["last_momentum"][:], sent["speed"][:] = body.momentum.ravel(), body.interior_speed

@@ -99,9 +99,9 @@ class CouplingArrays:
     anchor: int  # n x 3
     origin: int  # 3: world position of the centre of cell (0, 0, 0), m
     box: int  # 3: first cell of the scratch box
+    before: int  # n: velocity at the start of the step
     system: int  # n x n: M + dt D
     momentum: int  # n: right-hand side without the fluid
-    before: int  # n: velocity at the start of the step
     fixed: int  # n: 1 where the velocity is prescribed
     value: int  # n: the prescribed velocity
     reset_wrench: int  # 1 where the sum of the wrenches starts anew
@@ -290,12 +290,14 @@ def fold(axis: int, period: int, scratch: wp.array4d(dtype=wp.vec3)):
 @wp.kernel
 def correct(
     cell: wp.array(dtype=wp.vec3),
+    normal: wp.array(dtype=wp.vec3),
+    normal_only: int,
     wanted: wp.array2d(dtype=wp.vec3),
     width: int,
     scratch: wp.array4d(dtype=wp.vec3),
     force: wp.array2d(dtype=wp.vec3),
 ):
-    """Does one more pass: F_k += wanted_k - G_k."""
+    """Does one more pass: F_k += wanted_k - G_k; with `normal_only` the part along the normal alone."""
     k, r = wp.tid()
     p, g_at_marker = cell[k], wp.vec3(0.0, 0.0, 0.0)
     x, y, z = first_cell(p[0], width), first_cell(p[1], width), first_cell(p[2], width)
@@ -305,7 +307,10 @@ def correct(
             wy = wx * phi(p[1] - float(y + j), width)
             for l in range(width):
                 g_at_marker += (wy * phi(p[2] - float(z + l), width)) * scratch[x + i, y + j, z + l, r]
-    force[k, r] = force[k, r] + wanted[k, r] - g_at_marker
+    if normal_only == 1:
+        force[k, r] = force[k, r] + wp.dot(wanted[k, r] - g_at_marker, normal[k]) * normal[k]
+    else:
+        force[k, r] = force[k, r] + wanted[k, r] - g_at_marker
 
 
 @wp.kernel

@@ -24,6 +24,7 @@ from fishmj.lbm_oracle.immersed import fsi_solve
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.fsi_solve import MOST, finish_response, finishes_last, solve_block, wait_for_block
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays, first_cell, phi, pulled_moments
+from fishmj.lbm_oracle.immersed.wall_law import NODES, WallLaw, law_slip, probe, wall_velocity
 
 LANES = 32  # of a marker, on an accelerator
 GROUP = 4  # lanes of a marker and right-hand side in `assemble_response`
@@ -70,15 +71,15 @@ class MarkerKernels(NamedTuple):
 
 
 @cache
-def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32) -> MarkerKernels:
-    """Makes the kernels for markers of this width, in water whose populations are stored as `number`."""
+def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32, has_law: bool = False) -> MarkerKernels:
+    """Makes the kernels for markers of this width, in water stored as `number`; `has_law`: with a law for the wall's stress."""
     lanes, group = (LANES, GROUP) if on_gpu else (1, 1)
-    module = wp.get_module(f"{__name__}.{width}_{lanes}_{number.__name__}")
+    module = wp.get_module(f"{__name__}.{width}_{lanes}_{number.__name__}{'_law' if has_law else ''}")
     wp.set_module_options({"enable_backward": False, "max_unroll": 64 if on_gpu else Q}, module)
     return MarkerKernels(
         place_markers_kernel(width, lanes, module),
-        sample_fluid_kernel(width, lanes, number, module),
-        assemble_response_kernel(width, group, on_gpu, module),
+        sample_fluid_kernel(width, lanes, number, has_law, module),
+        assemble_response_kernel(width, group, on_gpu, has_law, module),
         spread_force_kernel(width, lanes, module),
     )
 
@@ -162,8 +163,8 @@ def place_markers_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
     return place_markers
 
 
-def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp.Kernel:
-    """Kernel of the fluid's velocity at the markers and the first pass."""
+def sample_fluid_kernel(width: int, lanes: int, number: type, has_law: bool, module: Any) -> wp.Kernel:
+    """Kernel of the fluid's velocity at the markers and the first pass; `has_law`: slip ratios from the stress of the wall."""
     cells = width**3
 
     @wp.kernel(module=module, grid_stride=False)
@@ -178,6 +179,10 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp
         corner: wp.array(dtype=int),
         f: wp.array(dtype=number),
         body_acceleration: wp.vec3,
+        law: WallLaw,
+        dx: wp.float64,
+        world: wp.array(dtype=wp.vec3d),
+        jacobian: wp.array2d(dtype=wp.vec3),
         normals: wp.array(dtype=wp.vec3),
         store: wp.array(dtype=wp.vec3i),
         low_cell: wp.array(dtype=wp.vec3i),
@@ -192,7 +197,8 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp
         """Reads u* at the markers, sets F0 and spreads the F of all right-hand sides; clears the force of the last step.
 
         Fuses `kernels.clear_force` (cells `last_store`), `kernels.read_cells` (u* and rho, kept as weight / rho),
-        `kernels.set_target` for r = 0 (F0 = s P u* - u*) and `kernels.spread` (first pass).
+        `kernels.set_target` for r = 0 (F0 = s P u* - u*) and `kernels.spread` (first pass). With a law for the wall it also fuses
+        `wall_law.probe_water` and `wall_law.set_slips`, and sets F_j for r > 0 anew.
         """
         tid = wp.tid()
         k, lane = tid // wp.static(lanes), tid % wp.static(lanes)
@@ -201,7 +207,7 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp
                 force_box[x] = wp.where(wraps[x] == 1, corner[x], int(host[at.box + x]))
                 force_box[x + 3] = force_box[x] + wp.where(wraps[x] == 1, shape[x], box[x])
         old, here, cell, normal = last_store[k], store[k], low_cell[k], normals[k]
-        slip, push = slips[k], volume[k]
+        slip, push = float(slips[k]), volume[k]
         u = wp.vec3(0.0, 0.0, 0.0)
         o = int(lane)
         while o < wp.static(cells):
@@ -220,6 +226,28 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp
             acceleration[x, y, z] = wp.vec3(0.0, 0.0, 0.0)
             o += wp.static(lanes)
         u_at_marker = wp.vec3(sum_over_warp(u[0]), sum_over_warp(u[1]), sum_over_warp(u[2]))
+        if wp.static(has_law):
+            place = (world[k] - point3(host, at.origin)) / dx
+            out, back = wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0)
+            o = int(lane)
+            while o < NODES * law.sides[k]:
+                share = probe(f, body_acceleration, place, normal, law.height, o, shape)
+                if o < NODES:
+                    out += share
+                else:
+                    back += share
+                o += wp.static(lanes)
+            wall = wall_velocity(host, at, jacobian, k)
+            outer = wp.vec3(sum_over_warp(out[0]), sum_over_warp(out[1]), sum_over_warp(out[2])) - wall
+            inner = wp.vec3(sum_over_warp(back[0]), sum_over_warp(back[1]), sum_over_warp(back[2])) - wall
+            slip = law_slip(law, k, normal, u_at_marker - wall, outer, inner)
+            d = int(lane)
+            while d < at.dofs:
+                v = jacobian[k, d]
+                force[k, d + 1] = v - slip * (v - wp.dot(v, normal) * normal)
+                d += wp.static(lanes)
+            if lane == 0:
+                slips[k] = slip
         if lane == 0:
             force[k, 0] = slip * (u_at_marker - wp.dot(u_at_marker, normal) * normal) - u_at_marker
             last_store[k] = here  # all lanes have read the old one: `sum_over_warp` waits for them
@@ -236,8 +264,8 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, module: Any) -> wp
     return sample_fluid
 
 
-def assemble_response_kernel(width: int, group: int, on_gpu: bool, module: Any) -> wp.Kernel:
-    """Kernel of the second pass, K, b0 and v+."""
+def assemble_response_kernel(width: int, group: int, on_gpu: bool, has_law: bool, module: Any) -> wp.Kernel:
+    """Kernel of the second pass, K, b0 and v+; `has_law`: the second pass corrects the force along the normal alone."""
     cells = width**3
 
     @wp.kernel(module=module, grid_stride=False)
@@ -247,6 +275,7 @@ def assemble_response_kernel(width: int, group: int, on_gpu: bool, module: Any) 
         markers: int,
         chunk: int,
         jacobian: wp.array2d(dtype=wp.vec3),
+        normals: wp.array(dtype=wp.vec3),
         volume: wp.array(dtype=float),
         low_cell: wp.array(dtype=wp.vec3i),
         weights: wp.array(dtype=float),
@@ -284,7 +313,10 @@ def assemble_response_kernel(width: int, group: int, on_gpu: bool, module: Any) 
             g_at_marker = wp.vec3(sum_over_group(g_at_marker[0]), sum_over_group(g_at_marker[1]), sum_over_group(g_at_marker[2]))
             if g == 0:
                 wanted = force[k, r]
-                force[k, r] = wanted + wanted - g_at_marker
+                if wp.static(has_law):
+                    force[k, r] = wanted + wp.dot(wanted - g_at_marker, normals[k]) * normals[k]
+                else:
+                    force[k, r] = wanted + wanted - g_at_marker
             item += threads // wp.static(group)
         wait_for_block()
         entry = int(me)
@@ -395,7 +427,7 @@ class MarkerWarps:
     def __init__(self, boundary: Boundary, number: type = wp.float32):
         b, device = boundary, boundary.device
         self.boundary, on_gpu = boundary, device.is_cuda
-        self._kernels = marker_kernels(b.width, on_gpu, number)
+        self._kernels = marker_kernels(b.width, on_gpu, number, b.has_law)
         self._threads = b.count * (LANES if on_gpu else 1)
         least, most = fsi_solve.BLOCK // (GROUP * b.rhs), -(-b.count // BLOCKS)
         self._chunk = max(1, least, most) if on_gpu else b.count  # markers of a block in `assemble_response`
@@ -422,7 +454,7 @@ class MarkerWarps:
         """Queues `sample_fluid`; arguments as `Boundary.assemble_response`, and the fluid's G, whose last force it clears."""
         b = self.boundary
         args = [b.host, b.layout, b.slips, b.volume, wp.vec3i(*b.shape), wp.vec3i(*b.box_shape), b.wraps, corner, f]
-        args += [b.body_acceleration, b.normal, b.store, self._low_cell, self._weights]
+        args += [b.body_acceleration, b.law, b.lattice.dx, b.world, b.jacobian, b.normal, b.store, self._low_cell, self._weights]
         found = [force_box, self._last_store, self._weight_over_rho, b.force, b.scratch]
         self._launch(self._kernels.sample_fluid, self._threads, [*args, *found, acceleration])
 
@@ -430,7 +462,8 @@ class MarkerWarps:
         """Queues `assemble_response`: K, b0 and v+."""
         b, lat = self.boundary, self.boundary.lattice
         scale = lat.mass * lat.velocity**2 * lat.dt / lat.dx * lat.velocity
-        args = [b.host, b.layout, b.count, self._chunk, b.jacobian, b.volume, self._low_cell, self._weights, b.scratch, scale]
+        args = [b.host, b.layout, b.count, self._chunk, b.jacobian, b.normal, b.volume, self._low_cell]
+        args += [self._weights, b.scratch, scale]
         args += [b.force, self._part, self._done, b.water, *b.elimination, self._velocity, b.target]
         self._launch(self._kernels.assemble_response, self._response_threads, args)
 

@@ -18,7 +18,7 @@ Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it be
 the hinge and with weight share to the link behind it (`mjcf.skin`), so the hull bends without gaps.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import ceil, pi
 from typing import Any
 
@@ -42,7 +42,7 @@ FLAT = 0.003  # share of an arc that faces across it, below which the arc counts
 KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Sharpness:
     """Lengths, in cells, that place markers relative to walls and sheets; the defaults are those of the shipped data.
 
@@ -51,6 +51,8 @@ class Sharpness:
     hull_slip, sheet_slip: slip lengths for no-slip walls (slip = 0); a wall with a slip ratio has its friction from that ratio.
     edges: hulls are drawn in by the whole length, however thin they are. A section then ends above and below in an edge, which is
     drawn in like a rim, less if it is rounder; a marker on it has all the normals of its arc.
+    law_height: m, least distance at which the water gives the stress of the wall (`wall_law.py`), and with it a slip ratio for
+        each marker and step; None: the run's slip ratio.
     """
 
     hull: float | None = None
@@ -58,6 +60,7 @@ class Sharpness:
     hull_slip: float = 0.0
     sheet_slip: float = 0.0
     edges: bool = False
+    law_height: float | None = None
 
     def __post_init__(self):
         """Raises ConfigError for an invalid length."""
@@ -66,6 +69,13 @@ class Sharpness:
                 numbers(f"sharpness: {name}", getattr(self, name))
         for name in ("hull_slip", "sheet_slip"):
             numbers(f"sharpness: {name}", getattr(self, name), low=0.0)
+        if self.law_height is not None:
+            numbers("sharpness: law_height", self.law_height, low=0.0)
+
+    def __repr__(self) -> str:
+        """Lengths as records have them; `law_height` only if there is one."""
+        given = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "law_height" or self.law_height is not None}
+        return f"Sharpness({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
         """Insets of hulls and of rims, cells; a given `hydro_offset` holds for both."""
@@ -86,6 +96,7 @@ PLAIN = Sharpness()
 # chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (studies/solver/NOTES.md)
 SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
 EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
+WALL_STRESS = replace(EDGES, law_height=0.015)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +115,8 @@ class Markers:
     share: np.ndarray  # (N,) 0..1
     sheet: np.ndarray  # (N,) bool, single sheet
     slip_length: np.ndarray | None = None  # (N,) cells, where the water sticks; None: 0
+    law_height: float | None = None  # m, of the law for the wall's stress; None: no law
+    from_nose: np.ndarray | None = None  # (N,) m along a laminar hull, above 0; None: it is turbulent
 
     def __post_init__(self):
         """Raises ConfigError for arrays of other shapes or types, and for invalid numbers."""
@@ -128,6 +141,10 @@ class Markers:
             raise ConfigError(f"markers: normal[{at}] has the length {long[at]:.4g}; expected unit vectors")
         if self.slip_length is not None:
             checked["slip_length"] = numbers("markers: slip_length", self.slip_length, (n,), low=0.0)
+        if self.law_height is not None:
+            numbers("markers: law_height", self.law_height, low=0.0)
+        if self.from_nose is not None:
+            checked["from_nose"] = numbers("markers: from_nose", self.from_nose, (n,), low=1e-300)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
@@ -151,6 +168,7 @@ class Markers:
             share=np.zeros(n),
             sheet=sheet,
             slip_length=sharpness.slip_length(sheet),
+            law_height=sharpness.law_height,
         )
 
 
@@ -219,9 +237,18 @@ def chain_markers(
     spacing: float = 1.0,
     sharpness: Sharpness = PLAIN,
 ) -> Markers:
-    """Markers of a chain of any number of links; arguments as `fish_markers`."""
+    """Markers of a chain of any number of links; arguments as `fish_markers`.
+
+    Raises:
+        ConfigError: as `fish_markers`, or a laminar hull without a law for the wall's stress.
+    """
     numbers("markers: dx", dx, low=1e-300), numbers("markers: spacing", spacing, low=1e-3)
     checked_kind("markers: sharpness", sharpness, Sharpness, needed=True)
+    if robot.hull == "laminar" and sharpness.law_height is None:
+        raise ConfigError(
+            f"{robot.name}: hull = 'laminar' in a boundary of the flow solver with one slip ratio for the hull; take the boundary"
+            " wall_stress, or leave hull out of the description"
+        )
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
     parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.edges)]
@@ -247,6 +274,8 @@ def chain_markers(
         share=np.where(rigid, 0.0, share),
         sheet=sheet,
         slip_length=sharpness.slip_length(sheet, thick / dx),
+        law_height=sharpness.law_height,
+        from_nose=np.maximum(g.reference - point[:, 0], dx / 2) if robot.hull == "laminar" else None,
     )
 
 

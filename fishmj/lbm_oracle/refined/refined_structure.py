@@ -34,9 +34,9 @@ class RefinedStructure(FluidStructure):
         for a in fluid.embedded:
             low, high = ((found[a + 3 * k] - lattice.corner[a]) / lattice.dx - first[a] for k in (0, 1))
             room = min(low, size[a] - 1 - high)
-            if room < self.boundary.width / 2:
+            if room < self.boundary.reach:
                 raise ConfigError(
-                    f"refined: a marker is {room:.2f} cells from the end of the finer box on axis {'xyz'[a]}, its kernel reaches"
-                    f" {self.boundary.width / 2:g}; let the box follow the body (`centre_on`), or make it larger"
+                    f"refined: a marker is {room:.2f} cells from the end of the finer box on axis {'xyz'[a]}, its kernel or law"
+                    f" reaches {self.boundary.reach:g}; let the box follow the body (`centre_on`), or make it larger"
                 )
         super().place_markers()

@@ -181,11 +181,12 @@ class DomainWatch:
                     self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
-        if room < stability.CLEARANCE:
+        needed = max(stability.CLEARANCE, coupled.boundary.reach)
+        if room < needed:
             at = ", ".join(f"{value:.3f}" for value in body.data.xpos[1])
             raise LeftDomain(
                 f"left_domain at t = {coupled.time:.3f} s: the fish at ({at}) m is {room:.1f} cells from a face of the"
-                f" {self.domain.name} domain; it needs {stability.CLEARANCE:g}. What was recorded before is kept"
+                f" {self.domain.name} domain; it needs {needed:g}. What was recorded before is kept"
             )
 
     def follow(self, coupled: FluidStructure) -> bool:

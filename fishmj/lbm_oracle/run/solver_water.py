@@ -9,7 +9,7 @@ another `name`. Grid, slip ratio and boundary were chosen by the effect of half 
 kind of treatment is a new field with a default, which `immersed` passes on.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from fishmj.base.errors import ConfigError
@@ -23,6 +23,7 @@ BOUNDARIES = {
     "rims": Sharpness(rim=1.0),  # fins and tail end about where they do; for hulls with a slip ratio
     "sharp": markers.SHARP,  # hulls too, with slip lengths: for water that sticks, --slip 0
     "edges": markers.EDGES,  # and the edges of thin hulls, where the water leaves them
+    "wall_stress": markers.WALL_STRESS,  # as edges; a law for the stress of the wall sets the slip ratio of each marker
 }
 
 
@@ -45,8 +46,22 @@ def robot_entry(robot: Robot) -> dict[str, str]:
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
     """Adds the option `--boundary` to a command; `add` is its parser's method."""
     words = "treatment of the hull. rims: fins drawn in. sharp: hulls too, and slip lengths, for --slip 0. edges: as sharp, and"
-    words += " the edges of hulls, for tails 1 to 5 cells thick. Default plain"
+    words += " the edges of hulls, for tails 1 to 5 cells thick. wall_stress: as edges,"
+    words += " friction from a law of the wall in place of --slip. Default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
+
+
+def study_slips(who: str, slips: list[float] | None, boundary: str, usual: Iterable[float]) -> list[float]:
+    """Slip ratios of a study: those given, else the usual ones; 1 alone with a boundary that sets them.
+
+    Raises:
+        ConfigError: slip ratios beside such a boundary.
+    """
+    if BOUNDARIES[boundary].law_height is None:
+        return list(usual if slips is None else slips)
+    if slips is not None and slips != [1.0]:
+        raise ConfigError(f"{who}: --slips beside --boundary {boundary}, which sets the slip ratio; leave one of them out")
+    return [1.0]
 
 
 class SolverWater(NamedTuple):
@@ -109,10 +124,12 @@ def asked_for(
         plain: the verb's default box.
 
     Raises:
-        ConfigError: the reference together with another box, slip ratio or boundary.
+        ConfigError: the reference together with another box, slip ratio or boundary, or a slip ratio beside `wall_stress`.
     """
     if not reference:
         box, edge = domain or plain or PLAIN.domain, BOUNDARIES[boundary or "plain"]
+        if edge.law_height is not None and slip is not None:
+            raise ConfigError(f"{who}: --slip {slip:g} beside --boundary {boundary}, which sets it; leave one of them out")
         water = PLAIN._replace(domain=box, slip=PLAIN.slip if slip is None else slip, sharpness=edge)
         return water._replace(storage=storage or PLAIN.storage, dx=dx)
     options = {"--domain": domain, "--slip": slip, "--boundary": boundary, "--storage": storage, "--dx": dx}

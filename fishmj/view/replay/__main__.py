@@ -8,7 +8,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.log import Trial, read_trial
 from fishmj.mjcf.reading import load_robot
 from fishmj.view.replay.html import write_html
-from fishmj.view.replay.scene import named_robot, robot_of, unlike
+from fishmj.view.replay.replay_data import named_robot, robot_of, unlike
 from fishmj.view.replay.video import write_mp4, write_png
 
 PAGE = Path("replay.html")

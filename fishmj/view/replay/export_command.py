@@ -13,7 +13,7 @@ from fishmj.log.trial import TABLES, Trial, stacked
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.drawing import solids
 from fishmj.mjcf.reading import load_robot
-from fishmj.view.replay.scene import named_robot
+from fishmj.view.replay.replay_data import named_robot
 
 EXAMPLES = """examples:
   fishmj log export runs/trial_07 --to mcap --out trial_07.mcap        open it in Foxglove: 3D panel, plots by path

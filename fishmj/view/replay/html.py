@@ -16,7 +16,7 @@ from fishmj.base.store import write_text
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, skin
-from fishmj.view.replay.scene import ARRIVAL, TRACKS, Track, page_data, read_wake, robot_of, tracks_of
+from fishmj.view.replay.replay_data import ARRIVAL, TRACKS, Track, page_data, read_wake, robot_of, tracks_of
 
 SCRIPTS = Path(__file__).parent / "page"
 PLAYER = ("scene.js", "fish.js", "wake.js", "chart.js", "player.js")

@@ -17,7 +17,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.processes import end_command, start_command
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.skin import Skin, hinge_frames, skin
-from fishmj.view.replay.scene import ARRIVAL
+from fishmj.view.replay.replay_data import ARRIVAL
 
 LEVELS = 6  # steps of hinge share over a bend zone
 FLOOR = -0.4  # m

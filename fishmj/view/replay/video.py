@@ -10,7 +10,7 @@ from fishmj.base.store import temporary_beside, write_bytes
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.from_above import FromAbove, coarse_skin, opencv
-from fishmj.view.replay.scene import ARRIVAL, TRACKS, Track, Wake, colours, read_wake, robot_of, tracks_of
+from fishmj.view.replay.replay_data import ARRIVAL, TRACKS, Track, Wake, colours, read_wake, robot_of, tracks_of
 
 INK = (250, 244, 236)  # BGR
 WORDS = 120  # characters of a line

@@ -268,6 +268,8 @@ def run(args: argparse.Namespace) -> int:
         args.domain = REFERENCE.window
     edge = REFERENCE.sharpness if args.reference else BOUNDARIES[args.boundary or "plain"]
     plan = plan_of(args, robot)
+    if edge.law_height is not None and any(segment.slip != 1 for segment in plan.segments):
+        raise ConfigError(f"collect: slip ratios beside --boundary {args.boundary}, which sets them; take --all-at-slip 1")
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
     if not (args.dry_run or args.ray):

@@ -77,6 +77,7 @@ def fingerprint(robot: Robot) -> str:
     table = asdict(robot)
     links = [{key: value for key, value in link.items() if key != "colour"} for link in table["links"]]
     body = {key: table[key] for key in ("servo", "fins", "timing", "density_water")} | {"links": links}
+    body |= {"hull": robot.hull} if robot.hull != "turbulent" else {}
     return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 

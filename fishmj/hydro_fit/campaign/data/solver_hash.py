@@ -15,7 +15,7 @@ PHYSICS = (
     *("fluid/slabs", "fluid/step", "fluid/storage", "immersed/articulated_body", "immersed/body", "immersed/boundary"),
     *("immersed/coupling", "immersed/device_body", "immersed/device_steps", "immersed/early_water", "immersed/fsi_solve"),
     *("immersed/kernels", "immersed/marker_warps", "immersed/markers", "refined/crossings", "refined/exchange"),
-    *("refined/refined_fluid", "refined/refined_structure", "run/time_refinement"),
+    *("immersed/wall_law", "refined/refined_fluid", "refined/refined_structure", "run/time_refinement"),
 )
 # hashes of later code -> that of the code which made the shipped segments: all results are equal to the bit on a CPU, with two
 # exceptions. `SECTORS` in refined water: nodes have other numbers and markers their round-off, 1e-9. From `SHORT` on: the eddy
@@ -36,8 +36,10 @@ CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # 
 ROOMS = "e9e86576e9e2d74b532ae597dde80d9adbc213fc0e50627dc4d6cc974ec94984"  # imports of moved modules, no other line
 # one generator for a coupled step, one class of run for all levels, one subgrid model, plain names; to the bit on a CPU
 ONE_LOOP = "3fe611ac37e302d67b2ecb0e893490b86e9764493a8878f400bbcfcd5a9525ba"
+# an option, a law of the wall; blocks of rows on a CPU; the rest to the bit
+WALLS = "d878cfcd8e5cf6f0a8932c30321d06243572905713901643aa403a3dc090b236"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys(LATER, SHIPPED)
+SAME = dict.fromkeys((*LATER, WALLS), SHIPPED)
 
 
 @cache

@@ -1,0 +1,77 @@
+"""Observed order of convergence of a number of your own, and its uncertainty, from three grids.
+
+    (f3 - f2) / (f2 - f1) = (r32^p - 1) / (r21^p - 1) r21^p,   r = dx ratios, f1 on the finest grid        solved for p
+    f0 = f1 + (f1 - f2) / (r21^p - 1)                                                                      dx -> 0
+    U = 1.25 |f1 - f0|          a monotonic series with 0.5 <= p <= 2.5: grid convergence index of the finest grid
+    U = 3 (greatest - least)    any other series: no order, no limit
+
+Sources: Celik et al. 2008, J. Fluids Eng. 130:078001 (index and its factor for three grids); Eca and Hoekstra 2014, J. Comput.
+Phys. 262:104 (the range where no order fits, and that an order far from the scheme's is not believed). Neither was read here.
+"""
+
+from collections.abc import Callable, Sequence
+from math import log, nan
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.lbm_oracle.fluid.guard import numbers
+
+SAFETY, RANGE = 1.25, 3.0
+ORDERS = (0.5, 2.5)  # observed orders that are believed
+LEAST_RATIO = 1.1
+
+
+class GridStudy(NamedTuple):
+    """Three grids, the finest last. `order`, `limit`: NaN where the series has none; `uncertainty`: of the finest value, +-."""
+
+    dx: tuple[float, ...]
+    values: tuple[float, ...]
+    order: float
+    limit: float
+    uncertainty: float
+
+    def __str__(self) -> str:
+        """The table and the verdict, in lines."""
+        rows = [f"dx = {dx:<10.4g} {value:.5g}" for dx, value in zip(self.dx, self.values, strict=True)]
+        found = f"order {self.order:.2f}, limit {self.limit:.4g}" if self.order == self.order else "no order fits"
+        return "\n".join([*rows, f"{self.values[-1]:.4g} +- {self.uncertainty:.2g} ({found})"])
+
+
+def grid_study(function: Callable[[float], float], dx: Sequence[float]) -> GridStudy:
+    """Calls `function(dx)` on three grids, coarse to fine; returns values, observed order, limit and uncertainty.
+
+    The physical problem must be the same on all of them: the box, the time over which is averaged, Reynolds and Mach number.
+
+    Raises:
+        ConfigError: not three cells that fall by a factor of 1.1 or more each; a value that is not finite.
+    """
+    sizes = numbers("grid study: dx", dx, (3,), low=1e-300)
+    if (sizes[:-1] < LEAST_RATIO * sizes[1:]).any():
+        raise ConfigError(f"grid study: dx = {sizes.tolist()}; expected three cells, each {LEAST_RATIO} times the next or more")
+    values = []
+    work = np.cumsum(1 / sizes**3)  # cells times steps of a flow in the plane
+    with console.Progress(float(work[-1]), "grid study") as bar:
+        for i, size in enumerate(sizes):
+            bar.stage(f"dx = {size:g}, {i + 1} of 3")
+            values.append(float(numbers(f"grid study: value at dx = {size:g}", function(float(size)))))
+            bar.update(float(work[i]))
+    return judged(tuple(sizes.tolist()), tuple(values))
+
+
+def judged(dx: tuple[float, ...], values: tuple[float, ...]) -> GridStudy:
+    """Order, limit and uncertainty of three values, the finest last."""
+    (h3, h2, h1), (f3, f2, f1) = dx, values
+    spread = RANGE * (max(values) - min(values))
+    if (f3 - f2) * (f2 - f1) <= 0:  # it oscillates, or stands still
+        return GridStudy(dx, values, nan, nan, spread)
+    fits = lambda p: log((f3 - f2) / (f2 - f1)) - log((h3**p - h2**p) / (h2**p - h1**p))
+    low, high = ORDERS
+    if not fits(low) * fits(high) < 0:
+        return GridStudy(dx, values, nan, nan, spread)
+    order = float(brentq(fits, low, high))
+    limit = f1 + (f1 - f2) / ((h2 / h1) ** order - 1)
+    return GridStudy(dx, values, order, limit, SAFETY * abs(f1 - limit))

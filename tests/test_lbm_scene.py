@@ -1,0 +1,239 @@
+"""A body of the user's own in a box: known answers on tiny grids, what is refused, and the order of convergence."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+
+from fishmj import lbm_oracle
+from fishmj.base.errors import ConfigError, OracleUnstable, UnknownName
+from fishmj.lbm_oracle import Scene, cylinder, grid_study, mesh, plate, sphere
+from fishmj.lbm_oracle.cases.sphere import clift
+from fishmj.lbm_oracle.grid_studies.grid_study import judged
+from fishmj.lbm_oracle.immersed import shapes
+from fishmj.lbm_oracle.immersed.markers import WALL_STRESS
+
+ROOT = Path(__file__).resolve().parent.parent
+D, U, NU = 0.08, 0.001, 4e-6  # m, m/s, m2/s: Re 20
+CUBE = """<mujoco><option gravity="0 0 0"/><worldbody><body pos="0.29 0.28 0.28">%s<geom type="sphere" size="0.04" %s/></body>
+</worldbody></mujoco>"""
+
+
+def tank(box=(0.64, 0.48, 0.48), dx=0.01, **options) -> Scene:
+    return Scene(box, dx, NU, U, **options)
+
+
+def box_surface(size) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a box of half-lengths `size` about the origin."""
+    text = f'<mujoco><worldbody><body><geom type="box" size="{size[0]} {size[1]} {size[2]}"/></body></worldbody></mujoco>'
+    return shapes.geom_surface(mujoco.MjModel.from_xml_string(text), 0)
+
+
+def test_drag_of_a_sphere_is_that_of_the_literature():
+    scene = tank((0.6, 0.4, 0.4)).add(sphere(D), at=(0.24, 0.203, 0.196))
+    scene.run(1.5 * D / U, every=10)
+    assert scene.drag_coefficient(0.3 * D / U) == pytest.approx(clift(20.0), rel=0.15)
+
+
+def test_a_geom_is_pushed_like_the_sphere_that_it_is():
+    model, found = mujoco.MjModel.from_xml_string(CUBE % ('<joint type="slide"/>', "")), []
+    for scene in (tank().add(sphere(D), at=(0.29, 0.28, 0.28)), tank().add(model, motion=lambda t: 0.0)):
+        scene.run(0.2 * D / U)
+        found.append(scene.drag_coefficient(0.1 * D / U))
+    assert found[1] == pytest.approx(found[0], rel=0.06) and found[0] > clift(20.0)
+
+
+def test_forces_are_si_and_a_flat_flow_has_them_per_metre():
+    """The same flow in other units: half the cell, four times the speed, twice the density."""
+    record = []
+    for size, fast, rho in ((0.01, 0.01, 1000.0), (0.005, 0.04, 2000.0)):
+        scene = Scene((10 * size, 8 * size), size / 8, size * fast / 40, fast, rho=rho)
+        scene.add(cylinder(size), at=(4 * size, 4 * size))
+        scene.run(size / fast)
+        record.append(scene.forces.wrench[-1, 0, 0] / (rho * fast**2 * size / 2))
+        assert scene.coefficients()[-1, 0] == pytest.approx(record[-1]) and scene.time == pytest.approx(size / fast, rel=0.01)
+    assert record[1] == pytest.approx(record[0], rel=1e-4)
+
+
+def test_a_moved_body_follows_its_motion_and_a_free_one_falls():
+    still = Scene((0.32, 0.32), 0.01, 1e-5, dt=0.05)
+    swing = lambda t: (0.01 * np.sin(t), 0.1 * t)
+    still.add(cylinder(D), at=(0.16, 0.16), joints=("slide y", "hinge z"), motion=swing)
+    still.run(1.0)
+    assert still.coupled.body.data.qpos == pytest.approx(swing(still.time), abs=1e-12)
+    pool = Scene((0.3, 0.3, 0.4), 0.01, 1e-4, dt=0.005, sides="wall", gravity=(0, 0, -9.81))
+    pool.add(sphere(D), at=(0.15, 0.15, 0.25), joints=("free",), density=1500.0)
+    pool.run(0.05)
+    fall, (times, wrench) = -pool.coupled.body.data.qvel[2], pool.forces
+    volume = np.pi / 6 * D**3
+    assert 0.1 < fall < 0.05 * 9.81 * 500 / 2000  # added mass alone: (rho - rho_w) / (rho + rho_w / 2)
+    assert 1500 * volume * fall == pytest.approx(np.sum(500 * volume * 9.81 - wrench[:, 0, 2]) * times[0], rel=1e-3)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_scene_on_a_gpu_is_that_of_the_cpu(flat):
+    found = []
+    for device in ("cpu", "cuda"):
+        scene = tank((0.64, 0.48) if flat else (0.48, 0.4, 0.4), dt=0.5, device=device)
+        if flat:
+            scene.add(cylinder(D), at=(0.25, 0.24), joints=("hinge z",), motion=lambda t: 0.001 * t)
+        else:
+            scene.add(sphere(D), at=(0.2, 0.203, 0.196))
+        found.append(scene.run(20.0).wrench)
+    assert np.abs(found[1] - found[0]).max() < 1e-4 * np.abs(found[0]).max()
+
+
+def test_several_bodies_have_the_held_ones_first():
+    scene = Scene((0.4, 0.3), 0.005, 1e-5, 0.005)
+    scene.add(cylinder(0.04), at=(0.2, 0.2), joints=("slide y",), motion=lambda t: 0.001 * t)
+    scene.add(cylinder(0.04), at=(0.1, 0.15)).add(cylinder(0.05), at=(0.2, 0.1))
+    scene.run(0.5)
+    assert scene.coupled.body.data.xpos[1:, :2] == pytest.approx(np.array([[0.1, 0.15], [0.2, 0.1], [0.2, 0.2005]]), abs=1e-4)
+    assert scene.forces.wrench.shape == (10, 3, 6) and (scene.forces.wrench[-1, :2, 0] > 0).all()
+    assert scene.blockage == pytest.approx(0.13 / 0.3) and "blockage 43 %" in str(scene)
+
+
+def test_vorticity_is_antisymmetric_behind_a_cylinder_and_drawn(tmp_path):
+    scene = Scene((0.5, 0.4), 0.01, 8e-6, 0.001)
+    scene.add(cylinder(D), at=(0.2, 0.2)).run(1.5 * D / 0.001, every=20)
+    found = scene.vorticity()
+    assert found.omega_z.shape == (50, 40) and np.abs(found.omega_z + found.omega_z[:, ::-1]).max() < 1e-3 * found.omega_z.max()
+    assert found.omega_z[25, 24] > 0 > found.omega_z[25, 15] or found.omega_z[25, 24] < 0 < found.omega_z[25, 15]
+    assert scene.plot(tmp_path / "wake.png").stat().st_size > 5000
+    (rim,) = found.outline
+    assert np.hypot(*(rim - 0.2).T) == pytest.approx(D / 2 - 0.007, rel=1e-3)
+
+
+def test_a_mesh_has_the_moments_and_markers_of_its_box(tmp_path):
+    vertices, faces = box_surface((0.1, 0.05, 0.02))
+    made = mesh((vertices + 0.3, faces))
+    assert made.volume == pytest.approx(8e-4) and made.centre == pytest.approx([0.3] * 3) and made.front == pytest.approx(0.004)
+    assert np.diag(made.inertia) == pytest.approx(8e-4 / 3 * np.array([0.0029, 0.0104, 0.0125]))
+    markers = made.markers(0.004)
+    half = np.abs(markers.rest - 0.3).max(0)
+    assert half == pytest.approx(np.array([0.1, 0.05, 0.02]) - 0.7 * 0.004, abs=0.003)
+    inner = 8 * (half[0] * half[1] + half[1] * half[2] + half[0] * half[2])
+    assert markers.area.sum() == pytest.approx(inner, rel=0.05) and 0.8 < np.median(np.sqrt(markers.area)) / 0.004 < 1.2
+    path = tmp_path / "box.obj"
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert mesh(path).volume == pytest.approx(8e-4, rel=1e-5) and mesh(path, scale=0.1).size == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("kind, size, volume", [
+    ("sphere", "0.1", 4 / 3 * np.pi * 1e-3), ("capsule", "0.05 0.1", np.pi * 0.0025 * (0.2 + 0.2 / 3)),
+    ("ellipsoid", "0.1 0.2 0.05", 4 / 3 * np.pi * 1e-3), ("cylinder", "0.05 0.1", np.pi * 5e-4), ("box", "0.1 0.2 0.05", 8e-3),
+])  # fmt: skip
+def test_geoms_have_closed_surfaces_of_their_volume(kind, size, volume):
+    text = f'<mujoco><worldbody><body><freejoint/><geom type="{kind}" size="{size}" quat="1 2 3 4"/></body></worldbody></mujoco>'
+    ((surface,),) = shapes.link_surfaces(mujoco.MjModel.from_xml_string(text))
+    vertices, faces = mesh(surface[1:]).markers, surface[2]
+    assert callable(vertices) and shapes.solid_moments(surface[1], faces)[0] == pytest.approx(volume, rel=5e-3)
+
+
+def scene_with(**options) -> None:
+    """Adds a sphere that fits, but for `options`."""
+    tank().add(**({"body": sphere(D), "at": (0.25, 0.24, 0.24)} | options))
+
+
+@pytest.mark.parametrize("wrong, said", [
+    (lambda: Scene((1.0,), 0.01), "three lengths in m, or two"),
+    (lambda: Scene((1.0, 1.0), 0.01), "water at rest and no dt"),
+    (lambda: Scene((1.0, 1.0), -0.01, stream=1.0), r"scene: dx = -0.01"),
+    (lambda: Scene((1.0, 1.0), 0.01, 1e-4, 0.1, sides="moving"), "side face"),
+    (lambda: scene_with(body=sphere(0.05)), r"5\.0 cells across the sphere; expected 6 at least: dx = 0\.00833 m"),
+    (lambda: scene_with(at=(0.25, 0.24)), r"at of the sphere has the shape \(2,\)"),
+    (lambda: scene_with(at=(0.25, 0.24, 2.0)), r"sphere from z = 1\.967 to 2\.033 m in a box of 0 to 0\.48 m"),
+    (lambda: scene_with(at=(0.08, 0.24, 0.24)), "expected 8 cells .* damping layer"),
+    (lambda: scene_with(body=cylinder(D)), "a cylinder in a box of 3 lengths; expected two lengths"),
+    (lambda: scene_with(body="sphere"), "scene: body"),
+    (lambda: scene_with(joints=("slide q",)), "expected a tuple of some of slide x"),
+    (lambda: scene_with(joints=("slide x",)), "a free body needs its density"),
+    (lambda: scene_with(density=1.0), "a density is that of a free body"),
+    (lambda: scene_with(motion=lambda t: 0.0), "a motion without slides or hinges"),
+    (lambda: scene_with(joints=("slide x",), motion=lambda t: (0.0, 1.0)), r"motion at t = 0 s has the shape \(2,\)"),
+    (lambda: scene_with(body=plate(D, D), joints=("free",), density=1.0), "a free plate without volume"),
+    (lambda: scene_with(body=plate(D, D, sharpness=WALL_STRESS)), "plate: markers with a law for the wall's stress"),
+    (lambda: tank().run(1.0), "no body; add one"),
+    (lambda: tank().add(sphere(D), at=(0.25, 0.24, 0.24)).coefficients(), "need a stream and a record"),
+    (lambda: mesh("nowhere.stl"), "no such file"),
+    (lambda: mesh((np.eye(3), [[0, 1, 2]])), "edges do not join two triangles"),
+    (lambda: mesh((box_surface((1, 1, 1))[0], box_surface((1, 1, 1))[1][:, ::-1])), "volume -8 m3"),
+    (lambda: mesh(box_surface((0.1, 0.1, 0.002))).markers(0.01), "thinner than the 1.4 cells"),
+    (lambda: grid_study(lambda dx: dx, (1.0, 2.0, 3.0)), "expected three cells, each 1.1 times the next"),
+    (lambda: grid_study(lambda dx: np.nan, (3.0, 2.0, 1.0)), "value at dx = 3 = nan"),
+])  # fmt: skip
+def test_what_does_not_fit_is_refused_with_what_would(wrong, said):
+    with pytest.raises((ConfigError, UnknownName), match=said):
+        wrong()
+
+
+def test_limits_of_the_scheme_are_refused_where_the_box_is_made():
+    with pytest.raises(OracleUnstable, match="Mach 0.87"):
+        Scene((1.0, 1.0), 0.01, 1e-3, 1.0, dt=0.005)
+    with pytest.raises(OracleUnstable, match=r"tau = 0\.50015 .* subgrid = 'wale'"):
+        Scene((1.0, 1.0), 0.01, stream=0.1)
+
+
+def test_a_model_is_refused_by_what_it_lacks():
+    joint, model = '<joint type="slide"/>', lambda *words: mujoco.MjModel.from_xml_string(CUBE % words)
+    for wrong, said in (
+        (lambda: tank().add(model(joint, 'group="3"')), "no geom in the groups 0 to 2"),
+        (lambda: tank().add(model(joint, ""), at=(0.1, 0.1, 0.1)), "place, joints"),
+        (lambda: tank(gravity=(0, 0, -9.81)).add(model(joint, "")), "gravity beside a MuJoCo model"),
+        (lambda: tank().add(model("<freejoint/>", ""), motion=lambda t: 0.0), "a free or ball joint"),
+        (lambda: tank().add(model(joint, "")).add(sphere(D), at=(0.1, 0.1, 0.1)), "a shape beside a MuJoCo model"),
+        (lambda: tank((0.36, 0.5, 0.5)).add(model(joint, ""), motion=lambda t: 0.0).run(1.0), "the model from x"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            wrong()
+
+
+def test_grid_study_finds_order_and_limit_that_made_the_values():
+    found = grid_study(lambda dx: 1.3 + 0.2 * dx**1.5, (0.4, 0.25, 0.2))
+    assert (found.order, found.limit) == pytest.approx((1.5, 1.3), rel=1e-6)
+    assert found.uncertainty == pytest.approx(1.25 * 0.2 * 0.2**1.5) and "order 1.50, limit 1.3" in str(found)
+
+
+@pytest.mark.parametrize("values", [(1.0, 1.2, 1.1), (1.0, 1.0, 1.0), (1.0, 1.1, 1.3), (1.0, 2.0, 2.0001)])
+def test_grid_study_without_an_order_states_the_range(values):
+    found = judged((4.0, 2.0, 1.0), values)
+    assert np.isnan(found.order) and np.isnan(found.limit) and "no order fits" in str(found)
+    assert found.uncertainty == pytest.approx(3 * (max(values) - min(values)))
+
+
+def test_import_of_the_room_is_light_and_its_names_are_there():
+    code = "import fishmj.lbm_oracle, sys; assert 'warp' not in sys.modules and 'mujoco' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert all(callable(getattr(lbm_oracle, name)) for name in lbm_oracle.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'cube'"):
+        _ = lbm_oracle.cube
+
+
+def example(tmp_path, name: str, *words: str) -> str:
+    """Standard output of an example."""
+    command = [sys.executable, ROOT / "examples" / name, *words]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_example_cylinder_prints_its_drag_and_draws_its_wake(tmp_path):
+    said = example(tmp_path, "cylinder.py", "--times", "0.05", "--diameter", "0.02", "--speed", "0.005")
+    assert re.search(r"Re 100, Mach 0\.09, .*blockage 5 %\nC_D = \d+\.\d{2}\n", said)
+    assert (tmp_path / "cylinder.png").stat().st_size > 5000
+
+
+@pytest.mark.slow
+def test_example_own_mjcf_prints_the_forces_of_both_links(tmp_path):
+    said = example(tmp_path, "own_mjcf.py")
+    assert len(re.findall(r"^(front|rear) +mean drag +-?\d\.\d{3} mN", said, re.M)) == 2
