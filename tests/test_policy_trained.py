@@ -33,14 +33,11 @@ LACKING = {"pilot": "water, training command", "station-sac": "training command"
 def test_shipped_policies_say_their_water_and_what_they_lack(name):
     water = {"paper": "structured", "paper-sac": "structured", "station-family": "swift-family"}.get(name, "swift")
     lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
-    if name == "station-family":  # two members of its family were fitted again since, with a bound on k_e
-        lacks = (f"policy {name}: not as trained: water {water} (family 2b729009), here {water} (family 2b6819d2)",)
     assert control.make(name, in_water(ROBOT, water)).notes == lacks
     by_path = os.path.relpath(FOLDER / f"{name}.safetensors")
     assert control.make(by_path, in_water(ROBOT, water)).notes == lacks, "the same file, named by its path"
     other = "swift" if water == "structured" else "structured"
     differs = () if name == "pilot" else (f"policy {name}: not as trained: water {water}, here {other}",)
-    lacks = () if name == "station-family" else lacks
     assert control.make(name, in_water(ROBOT, other)).notes == differs + lacks
 
 
