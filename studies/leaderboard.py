@@ -37,7 +37,12 @@ WATERS = {  # of the CPU: name -> heading
     "swift-slip098": "fitted, slip 0.98",
     "swift-reference": "fitted, reference",
 }
-CURVE_OF = {"paper": "ppo-planar-1.jsonl", "paper-sac": "sac-1.jsonl", "station-sb3": "sb3-ppo-0.jsonl"}
+CURVE_OF = {
+    "paper": "ppo-planar-1.jsonl",
+    "paper-sac": "sac-1.jsonl",
+    "station-family": "ppo-family-2.jsonl",
+    "station-sb3": "sb3-ppo-0.jsonl",
+}
 CONDITION = "flow 0.1/0.2/0.3 m/s, default turbulence 5 %, water lbm"  # of SOLVER
 WEIGHTS = {  # digest of the arrays that the flow solver judged: a policy trained anew has none of its rows
     "paper": "30be15fc7745b3de5c71abceefa1cb316fc0ca8e2c0e5ea40991ed788cf97703",
