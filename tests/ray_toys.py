@@ -9,7 +9,7 @@ import numpy as np
 from fishmj.hydro_fit.campaign.data.run_segments import Finished
 
 
-def run(waiting, device, *, setup, tanks=1):
+def run(waiting, device, go_on, *, setup, tanks=1):
     """Leaves a line in the folder `segment.drive["diary"]` for every segment begun; dies while `dies` lines are not reached."""
     for segment in list(waiting):
         diary = Path(segment.drive["diary"]) / segment.id

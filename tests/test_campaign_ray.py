@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import ray_toys
 from absent import absent
-from ray_toys import toy
 
 from fishmj.base.errors import ConfigError, MissingExtra
 from fishmj.base.ray_cluster import ATTEMPTS
@@ -46,7 +46,7 @@ HERE = Path(__file__).parent
 def local(monkeypatch):
     """Two workers, started and ended by the pool, that can import the made-up runner."""
     monkeypatch.setenv("PYTHONPATH", f"{HERE}:{HERE.parent}")
-    return RayPool("local:2", runner="ray_toys:run")
+    return RayPool("local:2", runner=ray_toys.run)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def cluster():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{HERE}:{HERE.parent}")
         ray = pytest.importorskip("ray")
-        ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
+        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
         yield
         ray.shutdown()
 
@@ -63,7 +63,7 @@ def cluster():
 @pytest.fixture
 def two(cluster):
     """A pool of its two workers."""
-    return RayPool("auto", runner="ray_toys:run")
+    return RayPool("auto", runner=ray_toys.run)
 
 
 def test_without_ray_the_message_has_the_install_line(monkeypatch):
@@ -83,7 +83,7 @@ def test_two_ray_workers_run_each_segment_once_and_match_one_process(tmp_path, l
 
     class Here:
         def run(self, waiting, setup, go_on):
-            return (toy(segment, setup) for segment in waiting)
+            return (ray_toys.toy(segment, setup) for segment in waiting)
 
     collect(plan, tmp_path / "here", SETUP, pool=Here(), quiet=True)
     for name in data.names("train"):

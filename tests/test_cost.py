@@ -105,14 +105,14 @@ def test_training_time_estimate_is_within_a_factor_of_two_of_measured(settings, 
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "lbm"])
 def test_a_preset_goes_on_without_a_question(name):
-    training.agree(PRESETS[name], 3, together=True, yes=False)
+    training.agree([PRESETS[name]] * 3, together=True, yes=False)
 
 
 def test_a_training_in_the_flow_solver_asks_where_there_is_no_gpu(monkeypatch):
     monkeypatch.setattr(training.solver_cost, "accelerator", lambda need: None)
     with pytest.raises(TooMuch, match="train: 20000 s of water in boxes of up to 2 M cells would take about"):
-        training.agree(settled(PRESETS["lbm"]), 1, together=False, yes=False)
-    training.agree(settled(change(PRESETS["lbm"], steps=10, solver={"domain": "laptop"})), 1, together=False, yes=False)
+        training.agree([settled(PRESETS["lbm"])], together=False, yes=False)
+    training.agree([settled(change(PRESETS["lbm"], steps=10, solver={"domain": "laptop"}))], together=False, yes=False)
 
 
 def test_the_memory_of_a_training_is_that_of_its_arrays():

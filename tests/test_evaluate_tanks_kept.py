@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from fishmj import control
+from fishmj.base.ray_cluster import RayCluster
 from fishmj.engines import FishState, Trace, drained, lbm
-from fishmj.evaluate import run_trials, trials
+from fishmj.evaluate import run_trials, trial_logs, trials
 from fishmj.mjcf import load_robot
 
 ROBOT = load_robot("fish")
@@ -121,4 +122,49 @@ def test_a_controller_that_cannot_be_copied_judges_one_trial_after_another(ponds
 
     one = judged(None, Odd(), tanks=4)
     assert "cannot be copied" in capsys.readouterr().err
-    np.testing.assert_allclose(one.pose, judged(None, tanks=4).pose, rtol=1e-12, atol=1e-12)
+    alone = judged(None, tanks=4)
+    np.testing.assert_allclose(one.pose, alone.pose, rtol=1e-12, atol=1e-12)
+    made = [control.make("dob", ROBOT), Odd(), control.make("dob", ROBOT)]
+    for found in run_trials.judge_each_in_solver(made, ROBOT, PLAN, device="cpu", tanks=4):
+        np.testing.assert_allclose(found.pose, alone.pose, rtol=1e-12, atol=1e-12)
+
+
+def test_controllers_share_the_tanks_and_are_yielded_in_order(tmp_path, ponds):
+    made = [control.make(name, ROBOT) for name in ("dob", "pd")]
+    each = run_trials.judge_each_in_solver(made, ROBOT, PLAN, tmp_path, device="cpu", tanks=6)
+    first = next(each)
+    assert first.controller == "dob" and len(ponds) > 8, "free tanks have begun the next controller"
+    second = next(each)
+    assert second.controller == "pd" and len(kept(tmp_path)) == 16
+    np.testing.assert_allclose(second.pose, judged(None, "pd").pose, rtol=1e-12, atol=1e-12)
+
+
+def test_workers_of_a_cluster_get_what_is_not_kept(tmp_path, monkeypatch):
+    """The cluster is replaced by this process, which takes groups of tasks and ends them in another order."""
+    given = []
+
+    def here(self, work, waiting, *, device, group, go_on):
+        while waiting:
+            tasks = [waiting.popleft() for _ in range(min(group, len(waiting)))]
+            given.append([task.id for task in tasks])
+            found = {task.id: task for task in tasks}
+            yield from ((found[name], result) for name, result in reversed(list(work(tasks))))
+            assert go_on(0.0)
+
+    monkeypatch.setattr(RayCluster, "spread", here)
+    whole = judged(None)
+    found = judged(tmp_path, tanks=3, ray="auto")
+    np.testing.assert_array_equal(found.pose, whole.pose)
+    assert [len(names) for names in given] == [3, 3, 2] and given[0][0] == "dob_u0.1_los000_r0"
+    (tmp_path / run_trials.KEPT / kept(tmp_path)[4]).unlink()
+    given.clear()
+    np.testing.assert_array_equal(judged(tmp_path, tanks=3, ray="auto").pose, whole.pose)
+    assert given == [["dob_u0.3_los000_r0"]]
+
+
+def test_trials_less_than_a_degree_apart_have_files_of_their_own(tmp_path):
+    near = trials(speeds=[0.1], los_deg=[0, 0.25, 0.4], repeats=1, duration=1.0)
+    names = [run_trials.name_of(control.make("drift", ROBOT), item) for item in near.items]
+    assert names == ["drift_u0.1_los000_r0", "drift_u0.1_los000.25_r0", "drift_u0.1_los000.40_r0"]
+    result = run_trials.judge_in_solver(control.make("drift", ROBOT), ROBOT, near, tmp_path, device="cpu")
+    assert len(kept(tmp_path)) == 3 == len({trial_logs.name_of(result, i) for i in range(3)})

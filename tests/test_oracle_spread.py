@@ -30,7 +30,7 @@ from fishmj.gap.calibrate import slip
 from fishmj.gap.laboratory.hidden_lbm import hidden
 from fishmj.gap.laboratory.hidden_lbm import hidden_lbm_command as hidden_command
 from fishmj.hydro_fit.campaign.data import collect
-from fishmj.hydro_fit.campaign.data.collect import Local, ray_device
+from fishmj.hydro_fit.campaign.data.collect import Local
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.lbm_oracle.fluid.device import device_of, devices_of
@@ -39,7 +39,7 @@ from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point
 from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
-from fishmj.lbm_oracle.run.spread import _KeyRequests, _Process, _ProgressReports, _send_key, spread
+from fishmj.lbm_oracle.run.spread import _KeyRequests, _Process, _ProgressReports, _send_key, ray_device, spread
 from fishmj.mjcf import load_robot
 
 TWO = ("cpu", "cpu")
@@ -222,7 +222,7 @@ def test_options_take_one_device_or_several():
 
 
 def test_a_worker_of_a_cluster_has_one_device():
-    assert ray_device("cuda") == "cuda"
+    assert [ray_device(asked) for asked in ("auto", "cpu", "cuda", "cuda:1")] == ["auto", "cpu", "cuda", "cuda"]
     with pytest.raises(ConfigError, match="--device cuda:all with --ray: .*use --device cuda"):
         ray_device("cuda:all")
 

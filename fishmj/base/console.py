@@ -400,6 +400,7 @@ class Progress:
         self._shown = -math.inf
         self._seen = [(self._start, 0.0)]  # (time [s], done), the last `MEMORY` seconds
         self._named = False  # a stage without a rate is under way
+        self._ended = False  # the whole has been shown
         self._starting = True  # the remembered time holds the start, in which a command may have compiled
         self._width = 0
 
@@ -440,9 +441,9 @@ class Progress:
         self._seen.append((now, done))
         while len(self._seen) > 2 and now - self._seen[1][0] > MEMORY:
             self._seen.pop(0)
-        if done < self.total and (now - self._shown < self._every or not self.rate):
+        if (done < self.total or self._ended) and (now - self._shown < self._every or not self.rate):
             return
-        self._shown = now
+        self._shown, self._ended = now, done >= self.total
         self._show(self.line(**fields))
 
     def stage(self, text: str) -> None:

@@ -1,15 +1,19 @@
 """Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from fishmj import control, engines
-from fishmj.base import console, cost, interrupt
+from fishmj.base import console, cost, interrupt, ray_cluster
 from fishmj.base.errors import ConfigError, FishmjError, MissingExtra
+from fishmj.control.own_controller import Own
 from fishmj.engines import own_effects, tank_effects
 from fishmj.evaluate import protocol
+from fishmj.evaluate.judge_over_ray import judge_over_ray, with_corrections
 from fishmj.evaluate.metrics import Result, compare, summary
-from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_in_solver, run
+from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_each_in_solver, run
 from fishmj.evaluate.trial_report import (
     CORRECTED,
     STARRED,
@@ -47,6 +51,7 @@ EXAMPLES = f"""examples:
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
   fishmj evaluate station adrc-c1 --task figure_eight      a path in place of a station, without training for it
   fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
+  fishmj evaluate station dob --water lbm --tanks 24 --ray auto --out runs/lbm    over the GPUs of a Ray cluster, resumable
 
 {control.shipped_lines()}
 """
@@ -80,6 +85,8 @@ def options() -> console.Parser:
     add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
     tanks = "trials of --water lbm on each device, or segments of hybrid, side by side; 12 or more keep one GPU busy; default 1"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
+    spread = f"judge over the workers of a cluster: {ray_cluster.OPTION}; each takes a controller, with --water lbm some trials"
+    add("--ray", type=console.text, metavar="ADDRESS", help=f"{spread}; default here")
     add("--turbulence", choices=tuple(PRESETS), help="kind of turbulence of the current; default: default")
     add("--intensity", type=console.number(0, 0.99), help="of the turbulence, u_rms / max(speed, 0.1 m/s); default 0.05")
     tank = "a tank's, of fishmj deploy flow-map: TI at every speed, and the kind with the nearest length scale; default none"
@@ -151,6 +158,8 @@ def main(argv: list[str]) -> int:
         trials = in_a_tank(trials, args)
     affordable(robot, trials, len(args.controllers))
     brains = control.several(args.controllers, robot, anyway=args.anyway)  # a wrong name fails before anything runs
+    if args.ray:
+        ray_cluster.refuse_own_code([*(b.name for b in brains if isinstance(b, Own)), *(["--effects"] if args.effects else [])])
     if water.kind == choice.LBM:
         from fishmj.lbm_oracle.run import solver_cost
 
@@ -158,12 +167,13 @@ def main(argv: list[str]) -> int:
         edge = {"boundary": args.boundary, "storage": args.storage, "dx": args.dx}
         args.solver = asked_for("evaluate", args.reference, args.domain, args.slip, **edge)
         work = [(level, trials.duration * len(trials) * len(brains)) for level in args.solver.box.levels]
-        solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
+        if not args.ray:
+            solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
         begin(water, brains, f": {args.solver.said}")
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
-            for brain in brains:
-                results.append(judge_in_tanks(brain, robot, trials, args)._replace(left_out=tuple(args.leave_out)))
+            for found in judge_in_tanks(brains, robot, trials, args):
+                results.append(found._replace(left_out=tuple(args.leave_out)))
                 if args.out is not None and len(results) < len(brains):
                     save(args.out, results, findings(results, args))
             return report(results, args)
@@ -209,24 +219,30 @@ def begin(water: choice.WaterChoice, brains, more: str = "") -> None:
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
     """Results of all controllers; those that an interrupted judgement had finished come from --out."""
-    results: list[Result] = []
-    engine = None
-    for brain in brains:
-        found = kept.find(brain)
-        if found is None:
-            if engine is None:
-                with console.Progress(1, "judge") as bar:
-                    bar.stage(f"compiling the engine {args.engine}")
-                    engine = choose_engine(args.engine, robot)
-                if args.hybrid is not None:
-                    from fishmj.engines.hybrid.engine import HybridEngine
-
-                    engine = HybridEngine(robot, trials.flows()[0], args.hybrid, inner=engine)
-            found = judge(brain, robot, trials, engine)
-        results.append(kept.keep(brain, found)._replace(left_out=tuple(args.leave_out)))
+    found = {brain.name: kept.keep(brain, there) for brain in brains if (there := kept.find(brain)) is not None}
+    ours = lambda: [found[b.name]._replace(left_out=tuple(args.leave_out)) for b in brains if b.name in found]
+    waiting = [brain for brain in brains if brain.name not in found]
+    for brain, result in judge_each(waiting, robot, trials, args) if waiting else ():
+        found[brain.name] = kept.keep(brain, result)
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
-            save(args.out, results, findings(results, args) | {"unfinished": kept.unfinished})
-    return results
+            save(args.out, ours(), findings(ours(), args) | {"unfinished": kept.unfinished})
+    return ours()
+
+
+def judge_each(brains, robot, trials, args) -> Iterator[tuple[Any, Result]]:
+    """Yields controllers and results as they are judged, here or over a Ray cluster."""
+    with console.Progress(1, "judge") as bar:
+        bar.stage(f"compiling the engine {args.engine}")
+        engine = choose_engine(args.engine, robot)
+    if args.ray:
+        with console.Progress(trials.duration * len(trials) * len(brains), f"judge {len(brains)} over Ray", unit="sim s") as bar:
+            bar.stage("starting the workers")
+            seen = lambda done: bar.update(done) if done else None
+            yield from judge_over_ray(args.ray, brains, robot, trials, engines.name_of(engine), args.hybrid, seen)
+        return
+    engine = with_corrections(engine, robot, trials, args.hybrid)
+    for brain in brains:
+        yield brain, judge(brain, robot, trials, engine)
 
 
 def hybrid_options(args, robot, trials, brains: int):
@@ -238,16 +254,19 @@ def hybrid_options(args, robot, trials, brains: int):
     from fishmj.engines.hybrid import HybridOptions
     from fishmj.lbm_oracle.fluid.device import several
     from fishmj.lbm_oracle.run import solver_cost
+    from fishmj.lbm_oracle.run.spread import ray_device
 
     if several(args.device):
         raise ConfigError(f"evaluate --water hybrid: --device {args.device}: its tanks share one; take auto, cpu or cuda:N")
     slip = PLAIN.slip if args.slip is None else args.slip
-    asked: dict = {"domain": args.domain, "slip": slip, "device": args.device, "side_by_side": args.tanks, "wait": True}
+    device = ray_device(args.device) if args.ray else args.device
+    asked: dict = {"domain": args.domain, "slip": slip, "device": device, "side_by_side": args.tanks, "wait": True}
     made = HybridOptions(**asked | ({} if args.every is None else {"every": args.every}))
     segments = max(0, 1 + (trials.duration - made.first - made.lead - made.span) // made.every) * len(trials) * brains
     less = "--domain laptop is a preview; --repeats 1 --speeds 0.2 --los 0 is one trial"
     work = [(level, segments * (made.lead + made.span)) for level in preset(made.box(robot)).levels]
-    solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
+    if not args.ray:
+        solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
     return made
 
 
@@ -288,14 +307,15 @@ def judge(brain, robot, trials, engine) -> Result:
         return run(brain, robot, trials, engine, progress=lambda step: bar.update(step * done))
 
 
-def judge_in_tanks(brain, robot, trials, args) -> Result:
-    """Result of one controller over all trials in the flow solver; finished trials are kept in --out and not run again."""
-
-    total = trials.duration * len(trials)
-    with console.Progress(total, f"judge {brain.name} in the solver", unit="sim s") as bar:
-        seen = lambda k: bar.update(k * robot.timing.control_dt)
-        options = {"device": args.device, "tanks": args.tanks, "progress": seen}
-        return judge_in_solver(brain, robot, trials, args.out, water=args.solver, **options)
+def judge_in_tanks(brains, robot, trials, args) -> Iterator[Result]:
+    """Yields the result of each controller in the flow solver; finished trials are kept in --out and not run again."""
+    what = brains[0].name if len(brains) == 1 else f"{len(brains)} controllers"
+    with console.Progress(trials.duration * len(trials) * len(brains), f"judge {what} in the solver", unit="sim s") as bar:
+        if args.ray:
+            bar.stage("starting the workers")
+        seen = lambda k: bar.update(k * robot.timing.control_dt) if k else None
+        options = {"device": args.device, "tanks": args.tanks, "ray": args.ray, "progress": seen}
+        yield from judge_each_in_solver(brains, robot, trials, args.out, water=args.solver, **options)
 
 
 def findings(results: list[Result], args) -> dict:

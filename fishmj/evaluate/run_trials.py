@@ -7,7 +7,7 @@ the same trials in the flow solver, one tank each. Finished trials are kept for 
 import gc
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import partial
@@ -52,7 +52,7 @@ def run(
     engine="batch",
     seed: int = 0,
     shift: tuple[float, float] = (0.0, 0.0),
-    progress: Callable[[int], None] = lambda step: None,
+    progress: Callable[[int], object] = lambda step: None,
 ) -> Result:
     """Judges one controller.
 
@@ -72,7 +72,7 @@ def run(
     return engines.drained(running(controller, robot, trials, engine, shift, progress))
 
 
-def running(controller, robot: Robot, trials: Trials, engine, shift, progress: Callable[[int], None]) -> engines.Steps[Result]:
+def running(controller, robot: Robot, trials: Trials, engine, shift, progress: Callable[[int], object]) -> engines.Steps[Result]:
     """Does the work of `run`, pausing whenever the engine waits for a device and other trials could continue."""
     loop = ControlLoop(robot, engine)
     n, steps = len(trials), task.control_steps(trials.duration, robot)
@@ -168,7 +168,7 @@ class FinishedTrials:
     def __init__(self, folder: Path | None, robot: Robot, trials: Trials, engine: str, names: list[str]):
         self.folder, self.robot, self.trials, self.engine = folder, robot, trials, engine
         self.names = names
-        self.done: list[str] = []
+        self.done: set[str] = set()
 
     def find(self, brain) -> Result | None:
         """Finished judgement of a controller, if there is one; prints a note."""
@@ -186,7 +186,7 @@ class FinishedTrials:
 
     def keep(self, brain, result: Result) -> Result:
         """Keeps the arrays of a finished controller, and returns its result."""
-        self.done.append(brain.name)
+        self.done.add(brain.name)
         path = self._path(brain)
         if path is not None and len(self.names) > 1 and not path.is_file():
             store.write_npz(path, {name: value for name in ARRAYS if (value := getattr(result, name)) is not None})
@@ -195,7 +195,7 @@ class FinishedTrials:
     @property
     def unfinished(self) -> list[str]:
         """Controllers that are not judged yet."""
-        return self.names[len(self.done) :]
+        return [name for name in self.names if name not in self.done]
 
     def words(self) -> str:
         """Text of an interrupted judgement: the kept controllers, and the command that continues."""
@@ -251,16 +251,31 @@ def judge_in_solver(
     robot: Robot,
     trials: Trials,
     folder: Path | None = None,
+    **options: Any,
+) -> Result:
+    """Judges one controller in the flow solver; options and errors as `judge_each_in_solver`."""
+    (result,) = judge_each_in_solver([brain], robot, trials, folder, **options)
+    return result
+
+
+def judge_each_in_solver(
+    brains: Sequence[Any],
+    robot: Robot,
+    trials: Trials,
+    folder: Path | None = None,
     *,
     water: "SolverWater | None" = None,
     domain: str | None = None,
     slip: float | None = None,
     device: str = "auto",
     tanks: int = 1,
+    ray: str | None = None,
     variation: Variation = UNCHANGED,
     progress: Callable[[int], None] = lambda done: None,
-) -> Result:
-    """Judges one controller in the flow solver: the same trials and figures, `tanks` trials at a time on each device.
+) -> Iterator[Result]:
+    """Judges controllers in the flow solver: the same trials and figures, `tanks` trials at a time on each device.
+
+    Yields the results in the order of the controllers, each as soon as its last trial has ended.
 
     Every trial is kept in <folder>/lbm as one npz as soon as it ends, and its tank starts the next one. An interrupted judgement
     continues with the trials that had not ended. A file made with another controller, robot or box of water is not used.
@@ -268,45 +283,68 @@ def judge_in_solver(
     Args:
         folder: folder of finished trials; None keeps nothing. variation: variation of all trials.
         water: water of the solver, by default the plain one. domain, slip: in place of the water's.
-        progress: called with the number of control steps done, summed over trials.
+        ray: address of a Ray cluster whose workers swim, one on each of its devices; by default this machine does.
+        progress: called with the number of control steps done, summed over trials and controllers.
 
     Raises:
-        OracleUnstable, ConfigError: the set-up would not run, or the stream changes within a trial.
+        OracleUnstable, ConfigError: the set-up would not run, the stream changes within a trial, or no worker ended some trials.
     """
     if not trials.steady:
         raise ConfigError("judge_in_solver: the solver's stream is steady; trials whose stream changes run in the fitted water")
     from fishmj.lbm_oracle.fluid.device import devices_of
     from fishmj.lbm_oracle.run.solver_water import PLAIN
-    from fishmj.lbm_oracle.run.spread import spread
+    from fishmj.lbm_oracle.run.spread import ray_device, spread, spread_over_ray
 
     steps = round(trials.duration / robot.timing.control_dt)
     water = PLAIN if water is None else water
     water = water._replace(domain=domain or water.domain, slip=water.slip if slip is None else slip)
-    label = "_".join(filter(None, (fingerprint(brain, robot, trials, water), variation.name)))
     box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "finer": variation.finer} | water.immersed
     box |= {} if water.dx is None else {"dx": water.dx}
-    paths = [None if folder is None else folder / KEPT / f"{name_of(brain, item)}_{label}.npz" for item in trials.items]
-    found: dict[int, dict] = {i: store.read_npz(p) for i, p in enumerate(paths) if p is not None and p.is_file()}
-    waiting = [i for i in range(len(trials)) if i not in found]
+    keys = [(k, i) for k in range(len(brains)) for i in range(len(trials))]
+    names = {(k, i): name_of(brains[k], trials.items[i]) for k, i in keys}
+    paths: dict[tuple[int, int], Path] = {}
+    if folder is not None:
+        labels = ["_".join(filter(None, (fingerprint(brain, robot, trials, water), variation.name))) for brain in brains]
+        paths = {(k, i): folder / KEPT / f"{names[k, i]}_{labels[k]}.npz" for k, i in keys}
+    found: dict[tuple[int, int], dict] = {key: store.read_npz(path) for key, path in paths.items() if path.is_file()}
+    waiting = [key for key in keys if key not in found]
 
     def told(done: float) -> bool:
         progress(len(found) * steps + round(done))
         return True
 
-    work = partial(in_tanks, brain=brain, robot=robot, trials=trials, box=box, tanks=tanks, nudge=variation.nudge)
-    for i, row in spread(work, waiting, (device,) if device == "auto" else devices_of(device), told):
-        if "stopped" in row:
-            console.warn(f"{name_of(brain, trials.items[i])}: truncated: {row['stopped']}")
-        if (path := paths[i]) is not None:
-            store.write_npz(path, row)
-        found[i] = row
-    return merged(brain, robot, trials, f"tanks, {water.label}", [found[i] for i in range(len(trials))])
+    work = partial(in_tanks, brains=brains, robot=robot, trials=trials, box=box, tanks=tanks, nudge=variation.nudge)
+    if ray is None:
+        made = spread(work, waiting, (device,) if device == "auto" else devices_of(device), told)
+    else:
+        made = spread_over_ray(ray, work, {names[key]: key for key in waiting}, ray_device(device), tanks=tanks, go_on=told)
+    for k, brain in enumerate(brains):
+        mine = [(k, i) for i in range(len(trials))]
+        while any(key not in found for key in mine):
+            key, row = next(made)
+            if "stopped" in row:
+                console.warn(f"{names[key]}: truncated: {row['stopped']}")
+            if key in paths:
+                store.write_npz(paths[key], row)
+            found[key] = row
+        yield merged(brain, robot, trials, f"tanks, {water.label}", [found[key] for key in mine])
+    for _ in made:  # nothing is left; it reports its progress and ends its workers
+        pass
 
 
 def in_tanks(
-    waiting: "Waiting", device: str, go_on: "GoOn", *, brain, robot: Robot, trials: Trials, box: dict[str, Any], tanks: int, nudge
-) -> Iterator[tuple[int, dict]]:
-    """Runs trials by their numbers, `tanks` at a time on one device; yields number and arrays of each as it ends (`spread`).
+    waiting: "Waiting",
+    device: str,
+    go_on: "GoOn",
+    *,
+    brains,
+    robot: Robot,
+    trials: Trials,
+    box: dict[str, Any],
+    tanks: int,
+    nudge,
+) -> Iterator[tuple[tuple[int, int], dict]]:
+    """Runs trials by numbers (controller, trial), `tanks` at a time on one device; yields numbers and arrays of each (`spread`).
 
     Every trial has a tank and a copy of the controller; a controller that cannot be copied has one trial at a time.
 
@@ -315,28 +353,29 @@ def in_tanks(
     """
     from fishmj.engines.lbm import LbmEngine
 
-    try:
-        deepcopy(brain)
-    except Exception as error:  # noqa: BLE001  somebody else's: whatever it holds
-        tanks = _alone(brain, tanks, error)
-    busy: dict[int, tuple[Any, engines.Steps[Result]]] = {}
-    done: dict[int, int] = {}
+    alone = [k for k, brain in enumerate(brains) if not _copies(brain, tanks)]
+    held: tuple[int, int] | None = None  # waits until its controller is free
+    busy: dict[tuple[int, int], tuple[Any, engines.Steps[Result]]] = {}
+    done: dict[tuple[int, int], int] = {}
     seen, emptied = -1, 0
-    while busy or waiting:
-        while len(busy) < tanks and waiting:
-            i = waiting.popleft()
-            one = replace(trials, items=(trials.items[i],))
+    while busy or held or waiting:
+        while len(busy) < tanks and (held or waiting):
+            key, held = held or waiting.popleft(), None
+            if key[0] in alone and any(key[0] == k for k, _ in busy):
+                held = key
+                break
+            one = replace(trials, items=(trials.items[key[1]],))
             engine = LbmEngine(robot, one.flows(), device=device, **box)
             x, y = (cells * engine.domain.dx for cells in nudge)
-            own = deepcopy(brain) if tanks > 1 else brain
-            busy[i] = engine, running(own, robot, one, engine, (x, y), partial(done.__setitem__, i))
-        for i, (engine, steps) in list(busy.items()):
+            own = brains[key[0]] if tanks == 1 or key[0] in alone else deepcopy(brains[key[0]])
+            busy[key] = engine, running(own, robot, one, engine, (x, y), partial(done.__setitem__, key))
+        for key, (engine, steps) in list(busy.items()):
             try:
                 next(steps)
             except StopIteration as end:
-                del busy[i]
-                done.pop(i, None)
-                yield i, _arrays(end.value, engine)
+                del busy[key]
+                done.pop(key, None)
+                yield key, _arrays(end.value, engine)
                 emptied += 1
                 del engine, steps
         # captured launches and their tank refer to each other: without this a GPU fills up with old water
@@ -349,11 +388,15 @@ def in_tanks(
                 return
 
 
-def _alone(brain, tanks: int, error: Exception) -> int:
-    """Returns one tank, and prints the reason."""
-    if tanks > 1:
-        console.warn(f"{brain.name}: cannot be copied ({error!r}), so that its trials run one after another")
-    return 1
+def _copies(brain, tanks: int) -> bool:
+    """Returns True if a controller can be copied; prints the reason if not."""
+    try:
+        deepcopy(brain)
+    except Exception as error:  # noqa: BLE001  somebody else's: whatever it holds
+        if tanks > 1:
+            console.warn(f"{brain.name}: cannot be copied ({error!r}), so that its trials run one after another")
+        return False
+    return True
 
 
 def _arrays(result: Result, engine) -> dict:
@@ -393,8 +436,9 @@ def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -
 
 
 def name_of(brain, item) -> str:
-    """File name of one trial."""
-    return f"{brain.name}_u{item.speed:g}_los{round(np.degrees(item.los)):03d}_r{item.repeat}"
+    """File name of one trial: `dob_u0.2_los045_r1`."""
+    los = round(float(np.degrees(item.los)), 2)  # as exact as its seed
+    return f"{brain.name}_u{item.speed:g}_los{f'{los:03.0f}' if los.is_integer() else f'{los:06.2f}'}_r{item.repeat}"
 
 
 def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> str:

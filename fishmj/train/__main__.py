@@ -8,6 +8,15 @@ from pathlib import Path
 
 from fishmj.base import console, ray_cluster
 from fishmj.base.errors import ConfigError
+from fishmj.train.planned_runs import (
+    PlannedRun,
+    check_distinct,
+    grid_points,
+    point_folder,
+    sweep_table,
+    train_here,
+    train_over_ray,
+)
 from fishmj.water import choice
 
 LOOKS = 10  # assessments in an algorithm's own budget of steps
@@ -17,6 +26,7 @@ EXAMPLES = """examples:
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
   fishmj train --seeds 0,1,2 --ray auto          on a Ray cluster, a run on each worker; --resume goes on
+  fishmj train --sweep learning-rate 1e-3 3e-4 --sweep reward.wS 0.002 0.005 --seeds 0,1    a grid of eight runs, and its table
   fishmj train --algo sac                        soft actor-critic, with its own million of steps
   fishmj train --gamma 0.98 --epochs 6           other hyperparameters
   fishmj train --flow-speeds 0,0.4 --episode-seconds 60     other streams, longer episodes
@@ -74,7 +84,12 @@ def options() -> console.Parser:
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
     devices = "devices of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
     add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
-    spread = f"train --seeds over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all see (default: here)"
+    sweep = (
+        "train with each of these values, without dashes before the name, and compare; several options make a grid; weights of"
+    )
+    sweep += " the reward are reward.wG, .."
+    add("--sweep", nargs="+", action="append", type=console.text, default=[], metavar=("NAME", "VALUE"), help=sweep)
+    spread = f"train the runs over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all see (default: here)"
     add("--ray", type=console.text, metavar="ADDRESS", help=spread)
     add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
     memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
@@ -232,7 +247,7 @@ def corrected(args, command: str) -> int:
 
     given = {"--resume": args.resume, "--force": args.force, "--together": args.together, "--seeds": args.seeds}
     given |= {"--engine lbm": args.engine == choice.LBM, "--algo": args.algo not in (None, "ppo")}
-    given |= {"--ray": args.ray, "--devices": args.devices > 1}
+    given |= {"--ray": args.ray, "--devices": args.devices > 1, "--sweep": args.sweep}
     if wrong := [option for option, value in given.items() if value]:
         raise ConfigError(
             f"--correct beside {wrong[0]}: its own command goes on, one seed, PPO, in the fitted water; leave it out"
@@ -268,31 +283,34 @@ def _by_device() -> str:
 
 
 def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
-    """Folders of every seed's run, checked before the first one starts.
+    """Folders of every seed's run; of --together one."""
+    from fishmj.base import plugins
+
+    algo = plugins.name_of(settings.algo)
+    if args.together:
+        return dict.fromkeys(seeds, args.out or Path("runs") / f"{settings.preset}-{algo}")
+    alone = lambda seed: args.out or Path("runs") / f"{settings.preset}-{algo}-{seed}"
+    apart = bool(args.out) and len(seeds) > 1
+    return {seed: alone(seed) / f"seed-{seed}" if apart else alone(seed) for seed in seeds}
+
+
+def check_folders(args, folders: list[Path]) -> None:
+    """Checks the folders of all runs before the first one starts.
 
     Raises:
         ConfigError: one holds a run, without --resume or its removal as an option, or something that must not be removed.
         ArgumentTypeError: one cannot be written.
     """
-    from fishmj.base import plugins
     from fishmj.base.store import Checkpoints
     from fishmj.control.policy import OF_A_RUN
 
-    algo = plugins.name_of(settings.algo)
     if args.resume and args.force:
         raise ConfigError("--resume goes on with a run and --force removes it; leave one of them out")
-    if args.together:
-        if args.resume:
-            raise ConfigError("--together cannot resume; train the seeds one after another")
-        every = args.out or Path("runs") / f"{settings.preset}-{algo}"
-        if every.exists() and not args.force:
-            raise ConfigError(f"{every} is there already; add --force to overwrite it, or choose another --out")
-        found = dict.fromkeys(seeds, every)
-    else:
-        alone = lambda seed: args.out or Path("runs") / f"{settings.preset}-{algo}-{seed}"
-        apart = bool(args.out) and len(seeds) > 1
-        found = {seed: alone(seed) / f"seed-{seed}" if apart else alone(seed) for seed in seeds}
-    for folder in dict.fromkeys(found.values()):
+    if args.together and args.resume:
+        raise ConfigError("--together cannot resume; train the seeds one after another")
+    if args.together and folders[0].exists() and not args.force:
+        raise ConfigError(f"{folders[0]} is there already; add --force to overwrite it, or choose another --out")
+    for folder in dict.fromkeys(folders):
         console.out_folder(str(folder))
         began = any((folder / name).exists() for name in ("settings.json", "checkpoints"))
         if Checkpoints(folder / "checkpoints").paths() and not (args.resume or args.force):
@@ -304,24 +322,22 @@ def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
         several = args.together and any(folder.glob("seed-*/settings.json"))
         if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
-    if args.resume and not any((folder / "checkpoints").is_dir() for folder in found.values()):
+    if args.resume and not any((folder / "checkpoints").is_dir() for folder in folders):
         said = "start without --resume"
         if inside := sorted(path.parent.name for path in (args.out or Path()).glob("seed-*/checkpoints")):
             listed = ",".join(name.removeprefix("seed-") for name in inside)
             said = f"there are the runs {', '.join(inside)}: add --seeds {listed}"
-        raise ConfigError(f"{', '.join(map(str, found.values()))}: nothing to resume; {said}")
-    return found
+        raise ConfigError(f"{', '.join(map(str, folders))}: nothing to resume; {said}")
 
 
 def main(argv: list[str]) -> int:
     """Runs the verb `train`; returns the exit code."""
-    args = options().parse_args(argv)
-    from fishmj.base.store import Checkpoints
+    parser = options()
+    args = parser.parse_args(argv)
     from fishmj.control.policy_meta import one_line
     from fishmj.train import training_cost
-    from fishmj.train.begin import begin_with
-    from fishmj.train.build import check_devices, referred, settled, water_for
-    from fishmj.train.settings import ALGORITHMS, as_dict, change, of_run, same
+    from fishmj.train.build import check_devices, water_for
+    from fishmj.train.settings import own_code
 
     if choice.LBM in (args.engine, args.preset) or (args.resume and args.out and _trained_on_lbm(args.out)):
         import jax
@@ -329,83 +345,112 @@ def main(argv: list[str]) -> int:
         jax.config.update("jax_platforms", "cpu")  # small networks; the GPU is the solver's
     if args.correct:
         return corrected(args, one_line(shlex.join(["fishmj", "train", *argv])))
-    if args.begin and (args.resume or args.together):
+    if args.begin and (args.resume and not (args.seeds or args.sweep) or args.together):
         other = "--resume" if args.resume else "--together"
         raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")
     if args.together and args.devices > 1:
         raise ConfigError(f"--together beside --devices {args.devices}: it trains on one device; leave one of them out")
-    if args.together and args.ray:
-        raise ConfigError("--together beside --ray: it trains in one program; leave one of them out")
+    if args.together and (args.ray or args.sweep):
+        other = "--ray" if args.ray else "--sweep"
+        raise ConfigError(f"--together beside {other}: it trains seeds in one program; leave one of them out")
     if args.seeds and args.seed is not None:
         raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
+    runs = [run for point, one in grid_points(parser, args) for run in planned(one, point)]
+    check_folders(args, [run.folder for run in runs])
+    check_distinct(runs)
+    if args.ray:
+        ray_cluster.refuse_own_code(
+            [*(name for run in runs for name in own_code(run.settings)), *(["--effects"] * bool(args.effects))]
+        )
+    else:  # with --ray the devices are those of a worker
+        for run in runs:
+            check_devices(run.settings, args.devices)
+    training_cost.agree([run.settings for run in runs], together=args.together, yes=args.yes, devices=args.devices)
+    console.say(*dict.fromkeys(f"water: {water_for(run.settings).said}" for run in runs))
+    if args.force and not args.resume:
+        for folder in dict.fromkeys(run.folder for run in runs):
+            shutil.rmtree(folder, ignore_errors=True)
+    typed, first = one_line(shlex.join(["fishmj", "train", *argv])), runs[0]
+    if args.together:
+        from fishmj.train.multi_seed import train_together
+
+        results = train_together(first.settings, [run.settings.seed for run in runs], first.folder, typed)
+    elif args.ray:
+        results = train_over_ray(args.ray, runs, typed, args.devices)
+    else:
+        results = train_here(runs, typed, args.devices, args.resume)
+    return report(args, argv, runs, results)
+
+
+def planned(args, point: str) -> list[PlannedRun]:
+    """Runs of one point of a sweep, or of a command without one: a run for each seed."""
+    from fishmj.train.begin import begin_with
+    from fishmj.train.build import settled
+    from fishmj.train.settings import as_dict, change, of_run, same
+
     settings = settings_from(args)
     seeds = args.seeds or [settings.seed]
+    if point:
+        from fishmj.base import plugins
+
+        algo = plugins.name_of(settings.algo)
+        args.out = (args.out or Path("runs") / f"{settings.preset}-{algo}-sweep") / point_folder(point)
     folders = folders_of(args, settings, seeds)
-    there = {folder: run for folder in folders.values() if args.resume and (run := of_run(folder))}
-    if there:
+    if there := {folder: run for folder in folders.values() if args.resume and (run := of_run(folder))}:
         settings = settings_from(args, next(iter(there.values())))
         folders = folders if args.seeds else {settings.seed: folders[seeds[0]]}
-        seeds = list(folders)
         for seed, folder in folders.items():
             if folder in there:
                 same(folder, change(settings, seed=seed), as_dict(there[folder]))
     begin = None
     if args.begin:
         begin, settings = begin_with(args.begin, settings, _asked_of(args))
-    water, settings = water_for(settings).said, settled(settings)
-    if args.ray:
-        from fishmj.train.ray_seeds import check_own_code, train_over_ray
+    settings = settled(settings)
+    return [PlannedRun(change(settings, seed=seed), folder, begin, point) for seed, folder in folders.items()]
 
-        check_own_code(settings, args.effects)
-    else:  # with --ray the devices are those of a worker
-        check_devices(settings, args.devices)
-    training_cost.agree(settings, len(seeds), together=args.together, yes=args.yes, devices=args.devices)
-    console.say(f"water: {water}")
-    if args.force and not args.resume:
-        for folder in dict.fromkeys(folders.values()):
-            shutil.rmtree(folder, ignore_errors=True)
-    results = []
-    learner, typed = None, one_line(shlex.join(["fishmj", "train", *argv]))
-    if args.together:
-        from fishmj.train.multi_seed import train_together
 
-        results, seeds = train_together(settings, seeds, folders[seeds[0]], typed), []
-    if args.ray:
-        results, seeds = train_over_ray(args.ray, settings, folders, typed, begin, args.devices), []
-    for seed in seeds:
-        one, folder = change(settings, seed=seed), folders[seed]
-        resume = args.resume and (len(folders) == 1 or bool(Checkpoints(folder / "checkpoints").paths()))
-        if train := one.algo in ALGORITHMS and ALGORITHMS[one.algo].train:
-            results.append(referred(train)(one, folder, resume=resume, command=typed))
-        else:
-            from fishmj.train.training_run import TrainingRun, learner_of
+def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -> int:
+    """Prints the outcomes, and of a sweep its table, which also goes into sweep.json; returns the exit code."""
+    from fishmj.base.store import write_json
+    from fishmj.train.training_run import go_on
 
-            learner = learner or learner_of(one, args.devices)
-            results.append(TrainingRun(one, folder, resume=resume, learner=learner, command=typed, begin=begin).go())
-        if results[-1]["stopped"]:
-            break
-    for r in results:
+    for run, r in zip(runs, results, strict=False):
+        if "failed" in r:
+            console.warn(f"{run.name}: {r['failed']}")
+            continue
         took, judged = console.duration(r["seconds"]), "not yet judged on the tuning flows"
         if "tune_arrival" in r:
             held = f"RMSE of the last 10 s {r['tune_rmse_last10']:.3f} m"
             judged = f"tuning flows: arrival {r['tune_arrival']:.1%}, {held}"
         console.say(
-            f"{r['algorithm']} seed {r['seed']}: {r['steps']:,} control steps in {took} on {r['engine']}; {judged}",
+            f"{r['algorithm']} {run.name}: {r['steps']:,} control steps in {took} on {r['engine']}; {judged}",
             f"policy: {r['policy']}",
         )
+    told: dict = {"runs": results}
+    if args.sweep:
+        table = sweep_table(runs, results)
+        told["sweep"] = table
+        write_json(runs[0].folder.parents[1 if args.seeds and len(args.seeds) > 1 else 0] / "sweep.json", told)
+        rows, points = table["rows"], table["points"]
+        console.say("", console.table(rows, list(dict.fromkeys(key for row in rows for key in row))))
+        console.say("", "means over the seeds, on the tuning flows")
+        console.say(console.table(points, list(dict.fromkeys(key for row in points for key in row))))
+        if best := table["best"]:
+            names = [r["policy"] for run, r in zip(runs, results, strict=False) if run.point == best["point"]]
+            again = "judge it on other draws with: fishmj evaluate"
+            console.say("", f"best on the tuning flows: {best['point']}; {again} {shlex.join(names)}")
     if args.json:
-        console.emit_json({"runs": results})
+        console.emit_json(told)
     if results and results[-1]["stopped"]:
-        from fishmj.train.training_run import go_on
-
         last = results[-1]
+        settings = runs[len(results) - 1].settings
         more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings, args.devices)
-        if len(folders) > 1 and not args.together:
-            again = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
-            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(again)}"
+        if len(runs) > 1 and not args.together:
+            words = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
+            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(words)}"
         console.warn(f"interrupted; {more}")
         return console.INTERRUPTED
-    return console.OK
+    return console.FAILED_CHECK if any("failed" in r for r in results) else console.OK
 
 
 if __name__ == "__main__":

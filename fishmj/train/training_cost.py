@@ -5,6 +5,7 @@
 Operations are those of the matrix products: 2 a weight forwards, 6 forwards and backwards.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from fishmj.base import cost
@@ -28,26 +29,28 @@ LEARNT = {  # the same in a water with a learnt force; on a GPU with the batch o
 ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of studies/training/NOTES.md
 
 
-def agree(settings: Settings, runs: int, *, together: bool, yes: bool, devices: int = 1) -> None:
-    """Asks before a run of more than a week or more memory than there is; without a terminal it raises TooMuch.
+def agree(runs: Sequence[Settings], *, together: bool, yes: bool, devices: int = 1) -> None:
+    """Asks before runs of more than a week or more memory than there is; without a terminal it raises TooMuch.
 
     Raises:
         TooMuch: the user did not agree. UnknownName, ConfigError: an invalid setting.
     """
-    config = config_of(settings)
-    if not (hasattr(config, "operations") and hasattr(config, "bytes")):
+    estimated = [(s, c) for s in runs if hasattr(c := config_of(s), "operations") and hasattr(c, "bytes")]
+    if not estimated:
         return  # of the user's own: nobody knows what it does
-    need = config.bytes(widths(settings), settings.steps) * (runs if together else 1) / devices
+    needs = [config.bytes(widths(s), s.steps) * (len(runs) if together else 1) / devices for s, config in estimated]
+    settings, config = estimated[needs.index(max(needs))]
     sizes = f"{config.envs:,} fish that see {settings.task.get('memory', 1)} observations"
     less = "take fewer --envs, a shorter --memory"
-    cost.memory("train", need, sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
+    cost.memory("train", max(needs), sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
     if settings.engine == LBM:
-        water = runs * settings.steps * settings.control_dt
-        work = [(level, water) for level in preset(settings.solver["domain"]).levels]
+        work = [(level, s.steps * s.control_dt) for s, _ in estimated for level in preset(s.solver["domain"]).levels]
         asked: dict[str, Any] = {"instead": "take fewer --steps; --domain laptop is a preview", "flag": "--yes", "asked": yes}
         return solver_cost.agree("train", settings.solver["device"], work, tanks=config.envs, **asked)
-    what = f"{runs * settings.steps:,.4g} control steps by {settings.algo}"
-    cost.time("train", runs * seconds(settings) / devices, what, instead="take fewer --steps", flag="--yes", agreed=yes)
+    algorithms = ", ".join(dict.fromkeys(s.algo for s, _ in estimated))
+    what = f"{sum(s.steps for s, _ in estimated):,.4g} control steps by {algorithms}"
+    took = sum(seconds(s) for s, _ in estimated) / devices
+    cost.time("train", took, what, instead="take fewer --steps", flag="--yes", agreed=yes)
 
 
 def seconds(settings: Settings) -> float:

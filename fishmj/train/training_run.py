@@ -11,7 +11,7 @@ import shlex
 import signal
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -472,8 +472,12 @@ def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> boo
 
     Under a reward of the task's own only the return counts.
     """
-    rank = lambda f: (f["return"],) if own_reward else (min(0.99, f["stayed"]), -f["rmse_last10"])
-    return best is None or rank(figures) >= rank(best)
+    return best is None or rank(figures, own_reward) >= rank(best, own_reward)
+
+
+def rank(figures: Mapping[str, float], own_reward: bool = False) -> tuple[float, ...]:
+    """Figures of an assessment by which `is_better` compares, greater is better."""
+    return (figures["return"],) if own_reward else (min(0.99, figures["stayed"]), -figures["rmse_last10"])
 
 
 def learner_of(settings: Settings, devices: int = 1):

@@ -17,14 +17,16 @@ import sys
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from math import ceil
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple, Protocol
 
 from fishmj.base import errors, plugins, processes
 from fishmj.base.errors import ConfigError, FishmjError
-from fishmj.lbm_oracle.fluid.device import device_of
+from fishmj.base.ray_cluster import RayCluster, RayTask, report
+from fishmj.lbm_oracle.fluid.device import device_of, several
 
 EVERY = 0.2  # s from one report of progress of a process to its next
 LOOK = 0.5  # s between two questions whether to go on
@@ -118,6 +120,44 @@ def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn 
     finally:
         for one in side:
             one.end()
+
+
+def ray_device(asked: str) -> str:
+    """Device of every worker of a Ray cluster, which sees only its own.
+
+    Raises:
+        ConfigError: several devices; a worker has one, and there is one worker for every GPU.
+    """
+    if several(asked):
+        raise ConfigError(f"--device {asked} with --ray: a worker has one device, and each GPU gets a worker; use --device cuda")
+    return "cuda" if asked.startswith("cuda") else asked
+
+
+def spread_over_ray(
+    address: str, work: Work, keys: Mapping[str, Any], device: str, *, tanks: int, go_on: GoOn = never_stop
+) -> Iterator[Any]:
+    """Yields the results of `work` as `spread`, from the workers of a Ray cluster, `tanks` keys at a time in each.
+
+    Args:
+        work: its results are tuples that begin with their key.
+        keys: hashable keys by their names in messages. device: of every worker, as `ray_device` returns it.
+
+    Raises:
+        ConfigError: keys that no worker ended, when all others are yielded. Errors as `RayCluster.spread`.
+    """
+    cluster, waiting = RayCluster(address), deque(RayTask(name, key) for name, key in keys.items())
+    for _, found in cluster.spread(
+        partial(_in_worker, work=work, device=device), waiting, device=device, group=tanks, go_on=go_on
+    ):
+        yield found
+    cluster.check()
+
+
+def _in_worker(tasks: list[RayTask], work: Work, device: str) -> Iterator[tuple[str, Any]]:
+    """Yields names and results of keys in a worker."""
+    names = {task.given: task.id for task in tasks}
+    for found in work(deque(names), device, report):
+        yield names[found[0]], found
 
 
 class _Process:

@@ -30,11 +30,11 @@ from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, on_devi
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import files, write_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
-from fishmj.lbm_oracle.fluid.device import devices_of, several
+from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_option
-from fishmj.lbm_oracle.run.spread import spread
+from fishmj.lbm_oracle.run.spread import ray_device, spread
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel
@@ -371,17 +371,6 @@ def pool_of(args: argparse.Namespace, devices: tuple[str, ...]) -> Pool:
 
         return RayPool(args.ray, tanks=tanks)
     return Local(tanks, devices)
-
-
-def ray_device(asked: str) -> str:
-    """Device of every worker of a Ray cluster.
-
-    Raises:
-        ConfigError: several devices; a worker has one, and there is one worker for every GPU.
-    """
-    if several(asked):
-        raise ConfigError(f"--device {asked} with --ray: a worker has one device, and each GPU gets a worker; use --device cuda")
-    return asked
 
 
 def report(found: Collected) -> None:

@@ -22,7 +22,7 @@ from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.base.store import Manifest, read_json
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, ray_device, report
+from fishmj.hydro_fit.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, report
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, fingerprint
 from fishmj.hydro_fit.campaign.data.segment import Segment
@@ -30,6 +30,7 @@ from fishmj.hydro_fit.segment_dataset import PREVIEW, SPLIT
 from fishmj.lbm_oracle.fluid.device import accelerator, devices_of, several
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import LEAD, Domain, preset
+from fishmj.lbm_oracle.run.spread import ray_device
 from fishmj.lbm_oracle.run.stability import CLEARANCE
 from fishmj.mjcf.description import Robot
 

@@ -1,0 +1,216 @@
+"""List of training runs, the points of a sweep times the seeds: one after another here, or over the workers of a Ray cluster.
+
+Every run has its own folder, which for Ray is on a disk that all machines share. A run that was under way when its worker or the
+command ended goes on from its newest checkpoint.
+"""
+
+import argparse
+import json
+import re
+from collections import deque
+from collections.abc import Iterator, Sequence
+from copy import copy
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.base.ray_cluster import RayCluster, RayTask
+from fishmj.base.store import Checkpoints
+from fishmj.control.policy import Policy
+from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, hyperparameters, referred
+
+SWEPT = ("algo", "command_path", "control_dt", "hide", "memory", "steps")  # by a sweep, beside hyperparameters and weights
+
+
+class PlannedRun(NamedTuple):
+    """One run of a list. begin: policy with which it begins. point: swept options, `gamma=0.98,epochs=6`; "" without a sweep."""
+
+    settings: Settings
+    folder: Path
+    begin: Policy | None = None
+    point: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name in messages."""
+        return f"{self.point} seed {self.settings.seed}".lstrip()
+
+    @property
+    def begun(self) -> bool:
+        """True if the run has a checkpoint."""
+        return bool(Checkpoints(self.folder / "checkpoints").paths())
+
+
+def grid_points(parser: console.Parser, args: argparse.Namespace) -> list[tuple[str, argparse.Namespace]]:
+    """Points of `--sweep NAME VALUE ...`, as text and as parsed arguments; of a command without it the one point "".
+
+    Raises:
+        ConfigError: an option that is not swept, is given twice, or has no value.
+    """
+    axes, own = [], f"reward.{'|reward.'.join(REWARD)}".split("|")
+    options = {name.replace("_", "-"): name for name in SWEPT} | {h.option[2:]: name for name, h in hyperparameters().items()}
+    for name, *values in args.sweep:
+        if name not in (known := sorted([*options, *own])):
+            why = "points are compared on the same task, robot and water"
+            raise ConfigError(f"--sweep {name}: {why}; expected one of {', '.join(known)}, without dashes")
+        if len(values) < 2 or len(set(values)) < len(values):
+            raise ConfigError(f"--sweep {name}: got {' '.join(values) or 'nothing'}; expected two or more different values")
+        weight = name.partition(".")[2]
+        dest, words = (
+            ("reward", [f"--reward={weight}={v}" for v in values])
+            if weight
+            else (options[name], [f"--{name}={v}" for v in values])
+        )
+        given = weight in dict(args.reward) if weight else getattr(args, dest) is not None
+        if given or name in (axis[0] for axis in axes):
+            raise ConfigError(f"--sweep {name}: {name} is given twice; leave one of them out")
+        axes.append((name, dest, [(v, getattr(parser.parse_args([word]), dest)) for v, word in zip(values, words, strict=True)]))
+    found = []
+    for values in product(*(axis[2] for axis in axes)):
+        one, texts = copy(args), []
+        for (name, dest, _), (text, value) in zip(axes, values, strict=True):
+            texts.append(f"{name}={text}")
+            setattr(one, dest, [*one.reward, *value] if dest == "reward" else value)
+        found.append((",".join(texts), one))
+    return found
+
+
+def point_folder(point: str) -> str:
+    """Folder name of a point of a sweep."""
+    return re.sub(r"[^\w.=,+-]", "_", point)
+
+
+def check_distinct(runs: Sequence[PlannedRun]) -> None:
+    """Raises ConfigError for two points of a sweep that are one."""
+    seen: dict[Any, str] = {}
+    for run in runs:
+        for key in (repr(run.settings), str(run.folder)):
+            if seen.setdefault(key, run.point) != run.point:
+                raise ConfigError(f"--sweep: {seen[key]} and {run.point} are the same; leave one of them out")
+
+
+def train_run(run: PlannedRun, command: str, learner: Any = None, *, devices: int = 1, resume: bool = False, quiet: bool = False):
+    """Summary of one run as of `TrainingRun.go`, which goes on where there is a checkpoint.
+
+    Args:
+        learner: as from `learner_of`, by default made here. resume: refuse a run without a checkpoint.
+    """
+    resume = resume or run.begun
+    if train := run.settings.algo in ALGORITHMS and ALGORITHMS[run.settings.algo].train:
+        return referred(train)(run.settings, run.folder, resume=resume, command=command, quiet=quiet)
+    from fishmj.train.training_run import TrainingRun, learner_of
+
+    learner, begin = learner or learner_of(run.settings, devices), None if resume else run.begin
+    return TrainingRun(run.settings, run.folder, resume=resume, learner=learner, command=command, begin=begin, quiet=quiet).go()
+
+
+def _outcome(run: PlannedRun, *args: Any, **options: Any) -> dict:
+    """Summary of one run of several; of one that diverged the reason, so that the others go on."""
+    try:
+        return train_run(run, *args, **options)
+    except SimDiverged as error:
+        return failed(run, str(error))
+
+
+def failed(run: PlannedRun, why: str) -> dict:
+    """Summary of a run that did not end."""
+    return {"folder": str(run.folder), "algorithm": run.settings.algo, "seed": run.settings.seed, "stopped": False, "failed": why}
+
+
+def train_here(runs: Sequence[PlannedRun], command: str, devices: int, resume: bool) -> list[dict]:
+    """Summaries of runs, one after another in this process, up to one that Ctrl-C stopped."""
+    from fishmj.train.training_run import learner_of
+
+    if len(runs) == 1:
+        return [train_run(runs[0], command, devices=devices, resume=resume)]
+    results: list[dict] = []
+    shared: tuple[Settings, Any] | None = None
+    for number, run in enumerate(runs, 1):
+        alike = change(run.settings, seed=0)
+        if shared is None or shared[0] != alike:
+            apart = alike.algo in ALGORITHMS and ALGORITHMS[alike.algo].train
+            shared = alike, None if apart else learner_of(run.settings, devices)
+        seconds, steps = (sum(r.get(key, 0) for r in results) for key in ("seconds", "steps"))
+        left = sum(r.settings.steps for r in runs[number - 1 :]) * seconds / steps if steps else 0.0
+        console.say(
+            f"run {number} of {len(runs)}: {run.name}" + (f"; about {console.duration(left)} for the rest" if left else "")
+        )
+        results.append(_outcome(run, command, shared[1]))
+        if results[-1]["stopped"]:
+            break
+    return results
+
+
+def train_over_ray(address: str, runs: Sequence[PlannedRun], command: str, devices: int) -> list[dict]:
+    """Summaries of runs, each on a worker of a Ray cluster; errors as `RayCluster.spread`.
+
+    Raises:
+        ConfigError: a folder that is not shared.
+    """
+    waiting = deque(RayTask(run.name, run._replace(folder=run.folder.resolve())) for run in runs)
+    cluster, made = RayCluster(address), {}
+    more = f"the runs keep checkpoints; {interrupt.again()}, with --resume"
+    total = sum(run.settings.steps for run in runs)
+    bar = console.Progress(total, f"train {len(runs)} runs over Ray", "steps")
+
+    def show_progress(_: float) -> bool:
+        if steps := sum(steps_of(run.folder) for run in runs):
+            bar.update(min(steps, total))
+        return True
+
+    with interrupt.keeping(lambda: more), bar:
+        bar.stage("starting the workers")
+        work = partial(_in_worker, command=command, devices=devices)
+        for task, summary in cluster.spread(work, waiting, gpus=devices, go_on=show_progress):
+            made[task.id] = summary
+    if away := [policy for summary in made.values() if not Path(policy := summary.get("policy", ".")).exists()]:
+        raise ConfigError(f"--ray: {away[0]} is on the worker's machine only; take an --out on a disk that all machines share")
+    return [made.get(run.name) or failed(run, "no worker ended it") for run in runs]
+
+
+def _in_worker(tasks: list[RayTask], command: str, devices: int) -> Iterator[tuple[str, dict]]:
+    for name, run in tasks:
+        yield name, _outcome(run, command, devices=devices, quiet=True)
+
+
+def steps_of(folder: Path) -> int:
+    """Control steps of a run so far, from its metrics.jsonl; 0 before its first line."""
+    path = folder / "metrics.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    for line in reversed(lines):
+        try:
+            return int(json.loads(line)["step"])
+        except ValueError:  # a line that is being written
+            continue
+    return 0
+
+
+def sweep_table(runs: Sequence[PlannedRun], results: Sequence[dict]) -> dict:
+    """Table of a sweep: {"rows": one a run, "points": means over the seeds, "best": the best of the points that are complete}.
+
+    All figures are of the tuning flows (`tune_...` of the summaries), on which runs also chose their checkpoints: they rank
+    points and judge none. The best is None as long as no point is complete.
+    """
+    from fishmj.train.training_run import rank
+
+    told = lambda r: {k.removeprefix("tune_"): v for k, v in r.items() if k.startswith("tune_")}
+    rows: list[dict] = []
+    points: dict[str, list[dict]] = {}
+    for run, result in zip(runs, results, strict=False):
+        state = "failed" if "failed" in result else "stopped" if result["stopped"] else ""
+        rows.append({"point": run.point, "seed": run.settings.seed, **told(result), **({"state": state} if state else {})})
+        points.setdefault(run.point, []).append({} if state else told(result))
+    means: list[dict[str, Any]] = []
+    for point, found in points.items():
+        complete = all(found) and len(found) == sum(run.point == point for run in runs)
+        figures = {key: round(float(np.mean([f[key] for f in found])), 5) for key in found[0]} if complete else {}
+        means.append({"point": point, "seeds": len(found), **figures})
+    ranked = [mean for mean in means if len(mean) > 2]
+    own_reward = not runs[0].settings.reward  # a settled one has weights, unless the task brings a reward
+    best = max(ranked, key=lambda mean: rank(mean, own_reward)) if ranked else None
+    return {"rows": rows, "points": means, "best": best}
