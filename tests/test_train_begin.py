@@ -19,8 +19,10 @@ def test_the_settings_take_the_policy_s_network_and_nothing_else():
     policy, made = begin_with("station", preset("quick"), {})
     assert made.algorithm["hidden"] == (256, 256) and made.algorithm["activation"] == "relu" and made.algorithm["sigma"] == SIGMA
     assert made.command_path == policy.meta["command_path"] and made.task["memory"] == 1
-    rest = {key: value for key, value in made.algorithm.items() if key not in ("hidden", "activation", "sigma")}
-    assert rest == {"envs": 512} and (made.steps, made.robot) == (preset("quick").steps, preset("quick").robot)
+    taken = ("hidden", "activation", "sigma", "learning_rate")
+    assert {key: value for key, value in made.algorithm.items() if key not in taken} == {"envs": 512}
+    assert made.algorithm["learning_rate"] == pytest.approx(1e-4)  # a tenth
+    assert (made.steps, made.robot) == (preset("quick").steps, preset("quick").robot)
 
 
 @pytest.mark.parametrize(
@@ -43,6 +45,12 @@ def test_other_algorithms_and_other_structures_are_refused():
 def test_a_run_begins_once_and_alone(other, capsys):
     assert console.run(main, ["--begin", "station", other]) == console.BAD_INPUT
     assert f"--begin beside {other}" in capsys.readouterr().err
+
+
+def test_options_and_the_solver_s_preset_keep_their_learning_rate():
+    fast = change(preset("quick"), algorithm={"learning_rate": 0.1})
+    for settings, asked in ((preset("lbm"), {}), (fast, {"--learning-rate": 0.1})):
+        assert begin_with("station", settings, asked)[1].algorithm["learning_rate"] == settings.algorithm["learning_rate"]
 
 
 @pytest.mark.slow

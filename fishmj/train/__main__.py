@@ -236,6 +236,7 @@ def _asked_of(args) -> dict:
     """Options given by the user among those that a policy decides."""
     given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
     given |= {"--control-dt": args.control_dt, "--activation": args.activation, "--sigma": args.sigma}
+    given["--learning-rate"] = args.learning_rate
     return {option: value for option, value in given.items() if value}
 
 
