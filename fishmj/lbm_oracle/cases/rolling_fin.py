@@ -78,8 +78,6 @@ class Cycle(NamedTuple):
 def fin_markers(cells: int, sharpness: Sharpness = PLAIN) -> Markers:
     """The elliptical sheet in x and z, its root at the origin of link 0, markers about a cell apart."""
     _, inset = sharpness.insets()
-    if sharpness.sheet_rim is not None:
-        inset = sharpness.from_edge(cells / 2, inset) - 0.5
     a, b = cells / 2 - inset, SPAN * cells / 2 - inset
     n = ceil(pi * a * b)
     r, turn = np.sqrt((np.arange(n) + 0.5) / n), pi * (3 - 5**0.5) * np.arange(n)

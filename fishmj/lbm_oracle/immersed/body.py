@@ -3,6 +3,8 @@
     (M + dt D + K) v+ = (M + dt D) v + dt (passive + actuators - bias) - b0 + I            K, b0: the water (kernels.py)
     I = sum_l J_l^T (h_l^n - h_l^n-1) - dt sum_l J_l^T m_l g,   h_l = (m_l u_l, I_l w_l)      the water inside the hull
 
+Sheets have layers of water round them that move along, too (`markers.py`). `carry_layers` adds their momentum to h_l.
+
 D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator treats implicitly. h_l is the momentum of the displaced
 water of link l. Across the link this water moves with the link; along the link its speed is measured (kernels.py). m_l is its
 mass, u_l the velocity of its centre. The immersed boundary accelerates that water too, which a real hull does not contain. The
@@ -102,6 +104,7 @@ class ImmersedBody:
         self.system, self._right = np.zeros((n, n)), np.zeros(n)
         self.smooth, self.gain = np.zeros(n), np.zeros((count, 6))
         self.interior_speed = np.full(count, np.nan)  # m/s, of the interior water along each link; nan: it moves with the link
+        self.layers, self._has_layers = np.zeros((count, 6, 6)), np.zeros(1, np.int32)
         self._now, self._weight = np.zeros((count, 6)), np.zeros((count, 6))
         self.momentum = np.zeros((count, 6))  # of the interior water at the end of the step before; written in place
         self.impulse, self._target, self._dt, self._check = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
@@ -169,6 +172,14 @@ class ImmersedBody:
         self._weigh()
         self.forward()
         self.momentum[:] = self._now
+
+    def carry_layers(self, inertia: np.ndarray) -> None:
+        """Sets the inertia (L, 6, 6) of the layers of water on the sheets (`Markers.layer_inertia`); they gain nothing by it."""
+        self.layers[:] = inertia
+        self._has_layers[:] = inertia.any()
+        before = self._now.copy()
+        self._move.launch()
+        self.momentum += self._now - before
 
     def set_interior_speed(self, speed: np.ndarray) -> None:
         """Sets the speed of the interior water along the links, (L,) m/s. Its gain counts from the second call on."""
@@ -250,7 +261,9 @@ class ImmersedBody:
         s.hinge = share(np.array([_hinge_address(m, i + 1) for i in range(self.links)], np.int32), int)
         s.arm, s.mass, s.inertia = (share(np.array(a, float)) for a in (mass.centre, mass.mass, mass.inertia))
         s.pose, s.jacobian = share(self.pose), share(np.zeros((6 * self.links, n)))
-        s.interior_speed = share(self.interior_speed if mass is self.water else np.full(self.links, np.nan))
+        mine = mass is self.water
+        s.layers, s.has_layers = share(self.layers), share(self._has_layers if mine else np.zeros(1, np.int32), int)
+        s.interior_speed = share(self.interior_speed if mine else np.full(self.links, np.nan))
         s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
         return s, link_dynamics.Recorded(link_dynamics.move, s)
 

@@ -136,13 +136,15 @@ class DeviceSteps:
         e.speed, e.applied, e.fastest = here["speed"], here["applied"], here["fastest"]
         e.last_momentum, e.total_gain = here["last_momentum"], here["total_gain"]
         e.measured_speed = here["measured_speed"][k * body.links : (k + 1) * body.links]
+        e.has_layers = int(body.layers.any())
         (e.dx, e.grid, e.size) = corners.grid
         if k:
-            for name in ("mass", "centre", "inertia", "weight", "push", "link_boxes", "corner"):
+            for name in ("mass", "centre", "inertia", "layers", "weight", "push", "link_boxes", "corner"):
                 setattr(e, name, getattr(self._first, name))
             return e
         self._first = e
         e.mass, e.centre, e.inertia, e.weight = make(water.mass), make(water.centre), make(water.inertia), make(weight)
+        e.layers = make(body.layers)
         e.push, e.link_boxes, e.corner = make(np.zeros(6 * body.links)), make(np.zeros(7 * body.links)), make(corners.at)
         return e
 

@@ -3,7 +3,7 @@
     c_l = p_l + R_l r_l                            centre of link l's water, at r_l in its frame
     (u_l, w_l) = J_l v                             its motion; columns (a x (c_l - o), a) of a hinge, (a, 0) of a slide
     h_l = (m_l (u_l + t_l (s_l - t_l . u_l)),      its momentum; s_l: measured along the link; nan: it moves with the link
-           R_l I_l R_l^T w_l)
+           R_l I_l R_l^T w_l) + R_l S_l R_l^T (u_l, w_l)       S_l: layers of water on its sheets (`Markers.layer_inertia`)
     right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
 
 The boxes round the markers of every link give the part of the water that they span, and the speed of their corners:
@@ -51,6 +51,8 @@ class LinkArrays:
     arm: wp.array(dtype=wp.float64)  # 3 L, r
     mass: wp.array(dtype=wp.float64)  # L
     inertia: wp.array(dtype=wp.float64)  # 9 L
+    layers: wp.array(dtype=wp.float64)  # 36 L, S, by rows
+    has_layers: wp.array(dtype=int)  # 1, 0 where S is zero
     interior_speed: wp.array(dtype=wp.float64)  # L, s; nan where it moves as the link does
     pose: wp.array(dtype=wp.float64)  # 12 L + L + 3 n + 3 n: frames, angles, axes a, anchors o
     centre: wp.array(dtype=wp.float64)  # 3 L, c
@@ -87,6 +89,19 @@ class LinkDynamics:
 def store_vec3(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
     """Stores a vector at offset `at` of a flat array."""
     ...
+
+
+@wp.func
+def layer_momentum(layers: wp.array(dtype=wp.float64), at: int, turn: wp.mat33d, u: wp.vec3d, w: wp.vec3d):
+    """Linear and angular momentum of the layers of water on a link's sheets, S at offset `at`, at the link's twist (u, w)."""
+    back = wp.transpose(turn)
+    v, spin = back * u, back * w
+    linear, angular = wp.vec3d(), wp.vec3d()
+    for i in range(3):
+        for j in range(3):
+            linear[i] += layers[at + 6 * i + j] * v[j] + layers[at + 6 * i + 3 + j] * spin[j]
+            angular[i] += layers[at + 6 * (i + 3) + j] * v[j] + layers[at + 6 * (i + 3) + 3 + j] * spin[j]
+    return turn * linear, turn * angular
 
 
 @wp.kernel
@@ -126,13 +141,16 @@ def move(s: LinkArrays):
             w += s.qvel[d] * spin
         store_vec3(s.twist, 6 * l, u)
         store_vec3(s.twist, 6 * l + 3, w)
+        sheet, spun = wp.vec3d(), wp.vec3d()
+        if s.has_layers[0] == 1:
+            sheet, spun = layer_momentum(s.layers, 36 * l, turn, u, w)
         if (
             s.interior_speed[l] == s.interior_speed[l]
         ):  # not nan: measured. Only along the link: across it the wall takes it along
             axis = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
             u += (s.interior_speed[l] - wp.dot(axis, u)) * axis
-        store_vec3(s.now, 6 * l, s.mass[l] * u)
-        store_vec3(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)))
+        store_vec3(s.now, 6 * l, s.mass[l] * u + sheet)
+        store_vec3(s.now, 6 * l + 3, turn * (matrix3(s.inertia, 9 * l) * (wp.transpose(turn) * w)) + spun)
 
 
 @wp.func

@@ -14,21 +14,18 @@ interpolation sees this as zero, with k = E |r - r'| for two independent draws f
 front of the sheet on either side. A slip length of k corrects this: u - U = k g, and the force on the water is
 2 nu g = 2 nu (u - U) / k.
 
-An accelerated sheet has too much added mass for the same reason. A pressure jump of wave number q along the sheet moves the water
-there by q / 2 (1 - q k') of it. The excess is k' / 2 times the integral of |grad jump|^2, whose part at the free edge is a
-logarithm of the size. A sheet of half a width of a cells is therefore right with its outermost markers at
-
-    e(a) = sheet_rim + k' / pi ln a        cells inside the free edge
-
-k' = 0.88: 0.65 by the kernel and the rest by the lattice, which moves a shear of wave number q by 1 / (1 + tan^2(q / 2) / 3) of a
-force along it.
+An accelerated sheet takes water along for the same reason. A pressure jump of wave number q along the sheet moves it by
+q / 2 (1 - q k') of itself per unit of time, by q / 2 if the sheet is thin, so that the sheet has an extra inertia of 2 k' rho per
+area: a layer 2 k' cells thick moves with it along its normal. k' = 0.88: 0.65 by the kernel, and the rest by the lattice, which
+moves a shear of wave number q by 1 / (1 + tan^2(q / 2) / 3) of a force along it. `layer` is the thickness of that water. Its
+momentum goes back to the links as that of the water inside a hull does (`body.py`).
 
 Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link before
 the hinge and with weight share to the link behind it (`mjcf.skin`), so the hull bends without gaps.
 """
 
 from dataclasses import dataclass, fields, replace
-from math import ceil, log, pi
+from math import ceil, pi
 from typing import Any
 
 import numpy as np
@@ -48,7 +45,7 @@ CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
 EDGE_RADIUS = 2 / 3  # cells; an edge of this radius is drawn in half-way between a rim and a hull
 FLAT = 0.003  # share of an arc that faces across it, below which the arc counts as flat
-THICK = 0.88  # k', cells, half a sheet's thickness in an acceleration; 3 points
+LAYER = 1.76  # 2 k', cells of water that move with a sheet; 3 points
 KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
 
 
@@ -59,8 +56,7 @@ class Sharpness:
     hull: inset of hulls along their normal. rim: inset of sheets at their free edges, in their plane. None: both from
         `offset_of`.
     hull_slip, sheet_slip: slip lengths for no-slip walls (slip = 0); a wall with a slip ratio has its friction from that ratio.
-    sheet_rim: distance of a sheet's outermost markers from its free edge at half a width of one cell (`from_edge`); None: `rim`,
-        less half a marker, whatever the size.
+    layer: thickness of the water that moves with a sheet, whose momentum its link gets back.
     edges: hulls are drawn in by the whole length, however thin they are. A section then ends above and below in an edge, which is
     drawn in like a rim, less if it is rounder; a marker on it has all the normals of its arc.
     law_height: m, least distance at which the water gives the stress of the wall (`wall_law.py`), and with it a slip ratio for
@@ -73,22 +69,23 @@ class Sharpness:
     sheet_slip: float = 0.0
     edges: bool = False
     law_height: float | None = None
-    sheet_rim: float | None = None
+    layer: float = 0.0
 
     def __post_init__(self):
         """Raises ConfigError for an invalid length."""
-        for name in ("hull", "rim", "sheet_rim"):
+        for name in ("hull", "rim"):
             if getattr(self, name) is not None:
                 numbers(f"sharpness: {name}", getattr(self, name))
-        for name in ("hull_slip", "sheet_slip"):
+        for name in ("hull_slip", "sheet_slip", "layer"):
             numbers(f"sharpness: {name}", getattr(self, name), low=0.0)
         if self.law_height is not None:
             numbers("sharpness: law_height", self.law_height, low=0.0)
 
     def __repr__(self) -> str:
-        """Lengths as records have them; `law_height` and `sheet_rim` only if there is one."""
-        late = ("law_height", "sheet_rim")
-        given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in late or getattr(self, f.name) is not None}
+        """Lengths as records have them; `law_height` and `layer` only if there is one."""
+        given = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("law_height", "layer") or getattr(self, f.name)
+        }
         return f"Sharpness({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
@@ -98,31 +95,6 @@ class Sharpness:
             return plain, plain
         return plain if self.hull is None else self.hull, plain if self.rim is None else self.rim
 
-    def from_edge(self, half: float, rim: float) -> float:
-        """Distance of the outermost markers from the free edges of a sheet of half a width of `half` cells; cells.
-
-        `rim` (`insets`) is where the outermost cell ends without a `sheet_rim`.
-        """
-        return rim + 0.5 if self.sheet_rim is None else self.sheet_rim + THICK / pi * log(max(half, 1.0))
-
-    def across(self, half: float, rim: float, step: float, dx: float) -> tuple[np.ndarray, float]:
-        """Places (n,) m from the middle of n markers across a sheet of half a width of `half` m, and the width m they stand for.
-
-        They are about `step` m apart in cells of dx m.
-
-        Without a `sheet_rim` the sheet is shortened by `rim` m, at most `CLAMP` of its half-width, and filled evenly. With one
-        its outermost markers are where the added mass asks for them; one row is left of a sheet that is too narrow for two.
-        """
-        if self.sheet_rim is None:
-            half -= min(rim, CLAMP * half)
-            n = max(1, round(2 * half / step))
-            return half * (2 * (np.arange(n) + 0.5) / n - 1), 2 * half
-        last = half - self.from_edge(half / dx, rim / dx) * dx
-        if last < step / 4:
-            return np.zeros(1), step
-        n = 1 + max(1, round(2 * last / step))
-        return np.linspace(-last, last, n), 2 * last * n / (n - 1)
-
     def slip_length(self, sheet: np.ndarray, thick=0.0) -> np.ndarray:
         """Slip lengths (N,) cells.
 
@@ -130,13 +102,20 @@ class Sharpness:
         """
         return np.where(sheet, np.maximum(self.sheet_slip - thick, 0.0), self.hull_slip)
 
+    def layer_of(self, sheet: np.ndarray, thick=0.0) -> np.ndarray:
+        """Thickness (N,) cells of the water that moves with each marker; arguments as `slip_length`.
+
+        What the sheet stands for is water inside the link already.
+        """
+        return np.where(sheet, np.maximum(self.layer - 2 * np.asarray(thick), 0.0), 0.0)
+
 
 PLAIN = Sharpness()
 # chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (studies/solver/NOTES.md)
 SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
 EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 WALL_STRESS = replace(EDGES, law_height=0.015)
-FINS = replace(EDGES, sheet_rim=1.62)  # chosen on a disc of 8 cells a radius (`cases.disc`)
+FINS = replace(EDGES, layer=LAYER)  # judged on discs and plates (`cases.disc`)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +134,7 @@ class Markers:
     share: np.ndarray  # (N,) 0..1
     sheet: np.ndarray  # (N,) bool, single sheet
     slip_length: np.ndarray | None = None  # (N,) cells, where the water sticks; None: 0
+    layer: np.ndarray | None = None  # (N,) cells of water that move with a sheet along its normal; None: 0
     law_height: float | None = None  # m, of the law for the wall's stress; None: no law
     from_nose: np.ndarray | None = None  # (N,) m along a laminar hull, above 0; None: it is turbulent
 
@@ -179,8 +159,9 @@ class Markers:
         if (np.abs(long - 1) > 1e-3).any():
             at = int(np.argmax(np.abs(long - 1)))
             raise ConfigError(f"markers: normal[{at}] has the length {long[at]:.4g}; expected unit vectors")
-        if self.slip_length is not None:
-            checked["slip_length"] = numbers("markers: slip_length", self.slip_length, (n,), low=0.0)
+        for name in ("slip_length", "layer"):
+            if getattr(self, name) is not None:
+                checked[name] = numbers(f"markers: {name}", getattr(self, name), (n,), low=0.0)
         if self.law_height is not None:
             numbers("markers: law_height", self.law_height, low=0.0)
         if self.from_nose is not None:
@@ -190,6 +171,25 @@ class Markers:
 
     def __len__(self) -> int:
         return len(self.area)
+
+    def layer_inertia(self, links: int, centre: np.ndarray, dx: float, rho: float) -> np.ndarray:
+        """Inertia of the layers on the links' sheets, (L, 6, 6), kg, kg m and kg m2, for a twist about `centre` (L, 3) m.
+
+            sum_k m_k w_k w_k^T,   m_k = rho A_k layer_k dx,   w_k = (n_k, (x_k - centre) x n_k)          in the link's frame
+
+        Cells are of dx m and water is of rho kg/m3. A marker in a bend counts on both links by its share.
+        """
+        found = np.zeros((links, 6, 6))
+        if self.layer is not None and self.layer.any():
+            mass = rho * self.area * self.layer * dx
+            for link, place, share in (
+                (self.before, self.rest, 1 - self.share),
+                (self.after, self.rest - self.pivot, self.share),
+            ):
+                arm = np.cross(place - centre[link], self.normal)
+                way = np.concatenate([self.normal, arm], 1)
+                np.add.at(found, link, (share * mass)[:, None, None] * way[:, :, None] * way[:, None])
+        return found
 
     @classmethod
     def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False, sharpness: Sharpness = PLAIN) -> "Markers":
@@ -208,6 +208,7 @@ class Markers:
             share=np.zeros(n),
             sheet=sheet,
             slip_length=sharpness.slip_length(sheet),
+            layer=sharpness.layer_of(sheet),
             law_height=sharpness.law_height,
         )
 
@@ -291,10 +292,8 @@ def chain_markers(
         )
     g = geometry_of(robot)
     (hull, rim), step = sharpness.insets(width, slip, hydro_offset), spacing * dx
-    if hydro_offset is not None:
-        sharpness = replace(sharpness, sheet_rim=None)
-    parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness)]
-    parts += [_side_fin(robot, g, fin, side, rim * dx, step, dx, sharpness) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
+    parts = [_body(robot, g, hull * dx, rim * dx, step, dx, sharpness.edges)]
+    parts += [_side_fin(robot, g, fin, side, rim * dx, step) for fin in robot.fins for side in (1.0, -1.0)[: fin.count]]
     point, normal, area, anchor, sheet, thick = (np.concatenate(column) for column in zip(*parts, strict=True))
     if len(point) == 0:
         raise ConfigError(
@@ -316,6 +315,7 @@ def chain_markers(
         share=np.where(rigid, 0.0, share),
         sheet=sheet,
         slip_length=sharpness.slip_length(sheet, thick / dx),
+        layer=sharpness.layer_of(sheet, thick / dx),
         law_height=sharpness.law_height,
         from_nose=np.maximum(g.reference - point[:, 0], dx / 2) if robot.hull == "laminar" else None,
     )
@@ -332,14 +332,10 @@ def _profile(robot: Robot, g: Geometry):
     return half, plate
 
 
-def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float, sharpness: Sharpness):
+def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: float, edges: bool):
     """Hull rings, nose cap and tail sheet, in the straight pose, body frame."""
     half, plate = _profile(robot, g)
-    edges = sharpness.edges
     nose, tail = min(inset, CLAMP * robot.length), robot.length - rim
-    high, wide = half(robot.length)
-    if sharpness.sheet_rim is not None and (plate < robot.length or wide < inset):
-        tail = robot.length - sharpness.from_edge(high / dx, rim / dx) * dx + step / 2
     n = max(1, round((tail - nose) / step))
     ds = (tail - nose) / n
     out = []
@@ -347,7 +343,7 @@ def _body(robot: Robot, g: Geometry, inset: float, rim: float, step: float, dx: 
         a, b = half(s)
         drawn = inset if edges else min(inset, CLAMP * b)
         if s >= plate or b - drawn < (0.0 if edges else SHEET) * dx:
-            out.append(_row(s, *sharpness.across(a, rim, step, dx), b, ds))
+            out.append(_row(s, a - min(rim, CLAMP * a), b, ds, step))
             continue
         slope = [(v - u) / (2e-3) for u, v in zip(half(s - 1e-3), half(s + 1e-3), strict=True)]
         high = a - (min(_edge_inset(a, b, inset, rim, dx), CLAMP * a) if edges else drawn)
@@ -438,32 +434,27 @@ def _cap(s, a, b, step):
     return tuple(np.concatenate(column) for column in zip(*cols, strict=True))
 
 
-def _row(s, z, high, b, ds):
-    """One upright row of a sheet that stands for a half-width b, markers at z (n,) for a height of `high`, normal to the left."""
-    one = np.ones(len(z))
-    return s * one, 0 * one, z, 0 * one, one, 0 * one, high / len(z) * ds * one, one, b * one
+def _row(s, a, b, ds, step):
+    """One upright row of a sheet of half-height a that stands for a half-width b, normal to the left."""
+    n = max(1, round(2 * a / step))
+    z = a * (2 * (np.arange(n) + 0.5) / n - 1)
+    one = np.ones(n)
+    return s * one, 0 * one, z, 0 * one, one, 0 * one, 2 * a / n * ds * one, one, b * one
 
 
-def _side_fin(robot: Robot, g: Geometry, fin, side: float, inset: float, step: float, dx: float, sharpness: Sharpness):
+def _side_fin(robot: Robot, g: Geometry, fin, side: float, inset: float, step: float):
     """One horizontal plate, shortened by the offset on its three free edges."""
     i = [link.name for link in robot.links].index(fin.link)
     rows = np.array(robot.links[i].sections)
     front = g.origin[i] + g.span[i, 1]
     root = np.interp(np.mean(fin.station), rows[:, 0], rows[:, 2]) * g.width_scale / 2
     chord = fin.station[1] - fin.station[0]
-    if sharpness.sheet_rim is None:
-        along, tip = min(inset, CLAMP * chord / 2), min(inset, CLAMP * fin.span)
-        nx, ny = max(1, round((chord - 2 * along) / step)), max(1, round((fin.span - tip) / step))
-        u, v = np.meshgrid((np.arange(nx) + 0.5) / nx, (np.arange(ny) + 0.5) / ny, indexing="ij")
-        x = (front - fin.station[0] - along - u * (chord - 2 * along)).ravel()
-        y = side * (root + v * (fin.span - tip)).ravel()
-        area = (chord - 2 * along) / nx * (fin.span - tip) / ny
-    else:
-        u, wide = sharpness.across(chord / 2, inset, step, dx)
-        tip = max(fin.span - sharpness.from_edge(fin.span / dx, inset / dx) * dx, min(fin.span, step) / 2)
-        v, x = np.arange(max(1, round(tip / step + 0.5))), front - fin.station[0] - chord / 2 - u
-        x, y = (column.ravel() for column in np.meshgrid(x, side * (root + tip * (v + 0.5) / (len(v) - 0.5)), indexing="ij"))
-        area = wide / len(u) * tip / (len(v) - 0.5)
+    along, tip = min(inset, CLAMP * chord / 2), min(inset, CLAMP * fin.span)
+    nx, ny = max(1, round((chord - 2 * along) / step)), max(1, round((fin.span - tip) / step))
+    u, v = np.meshgrid((np.arange(nx) + 0.5) / nx, (np.arange(ny) + 0.5) / ny, indexing="ij")
+    x = (front - fin.station[0] - along - u * (chord - 2 * along)).ravel()
+    y = side * (root + v * (fin.span - tip)).ravel()
     one = np.ones(len(x))
+    area = (chord - 2 * along) / nx * (fin.span - tip) / ny
     point, normal = np.stack([x, y, 0 * x], -1), np.stack([0 * x, 0 * x, one], -1)
     return point, normal, area * one, np.full(len(x), front - np.mean(fin.station)), one.astype(bool), 0 * one

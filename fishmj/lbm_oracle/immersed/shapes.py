@@ -81,11 +81,11 @@ def plate(chord: float, span: float | None = None, *, angle: float = 0.0, sharpn
 def plate_markers(chord: float, span: float | None, angle: float, dx: float, sharpness: Sharpness) -> Markers:
     """Markers of a plate turned by `angle` rad, about a cell apart, its middle at the origin of link 0."""
     inset = sharpness.insets()[1] * dx
-    sides = [sharpness.across(size / 2, inset, dx, dx) for size in ((chord,) if span is None else (chord, span))]
-    s, z = sides[0][0], 0 * sides[0][0]
-    if span is not None:
-        s, z = (column.ravel() for column in np.meshgrid(s, sides[1][0], indexing="ij"))
-    area = sides[0][1] * sides[1][1] / s.size if span is not None else sides[0][1] / s.size * dx
+    half = [size / 2 - min(inset, 0.45 * size / 2) for size in ((chord,) if span is None else (chord, span))]
+    counts = [max(1, round(2 * h / dx)) for h in half]
+    sides = [h * (2 * (np.arange(n) + 0.5) / n - 1) for h, n in zip(half, counts, strict=True)]
+    s, z = (column.ravel() for column in np.meshgrid(*sides, indexing="ij")) if span is not None else (sides[0], 0 * sides[0])
+    area = 4 * half[0] * half[1] / s.size if span is not None else 2 * half[0] / s.size * dx
     normal = np.broadcast_to([sin(angle), cos(angle), 0.0], (s.size, 3))
     return Markers.rigid(np.stack([s * cos(angle), -s * sin(angle), z], -1), normal, area, sheet=True, sharpness=sharpness)
 
