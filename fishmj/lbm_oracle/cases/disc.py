@@ -40,7 +40,7 @@ LAMB, DNV = "Lamb, Hydrodynamics, art. 102", "DNV-RP-C205"
 
 
 def disc_markers(radius: float, sharpness: Sharpness, slip: float = 1.0, angle: float = 0.0) -> Markers:
-    """Markers of a disc of `radius` cells on rings about a cell apart, its middle at the origin, turned by `angle` rad about z."""
+    """Markers of a disc of `radius` cells, its middle at the origin, on rings a cell apart, turned by `angle` rad about z."""
     last = radius - sharpness.insets(slip=slip)[1] - 0.5
     count = max(1, round(last))
     apart = last / count
