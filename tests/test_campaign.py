@@ -176,6 +176,11 @@ def test_a_solver_is_its_code_not_its_comments():
     assert plain != code_of("def f(x):\n    return 3 * x\n")
 
 
+def test_shipped_segments_are_those_of_this_solver():
+    """Code of the physics that changes no bit belongs into `solver_hash.SAME`; other code needs new segments."""
+    assert open_dataset(SHIPPED).meta["solver"]["sha256"] == solver_sha256()
+
+
 def test_a_round_of_correction_adds_to_a_data_set(tmp_path):
     collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
     more = plan.on_policy(FISH, "dob", episodes=2, seconds=3.0, seed=1)

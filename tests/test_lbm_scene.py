@@ -18,6 +18,7 @@ from fishmj.lbm_oracle import Scene, cylinder, grid_study, mesh, plate, sphere
 from fishmj.lbm_oracle.cases.sphere import clift
 from fishmj.lbm_oracle.grid_studies.grid_study import judged
 from fishmj.lbm_oracle.immersed import shapes
+from fishmj.lbm_oracle.immersed.markers import WALL_STRESS
 
 ROOT = Path(__file__).resolve().parent.parent
 D, U, NU = 0.08, 0.001, 4e-6  # m, m/s, m2/s: Re 20
@@ -74,6 +75,20 @@ def test_a_moved_body_follows_its_motion_and_a_free_one_falls():
     volume = np.pi / 6 * D**3
     assert 0.1 < fall < 0.05 * 9.81 * 500 / 2000  # added mass alone: (rho - rho_w) / (rho + rho_w / 2)
     assert 1500 * volume * fall == pytest.approx(np.sum(500 * volume * 9.81 - wrench[:, 0, 2]) * times[0], rel=1e-3)
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("flat", [True, False])
+def test_a_scene_on_a_gpu_is_that_of_the_cpu(flat):
+    found = []
+    for device in ("cpu", "cuda"):
+        scene = tank((0.64, 0.48) if flat else (0.48, 0.4, 0.4), dt=0.5, device=device)
+        if flat:
+            scene.add(cylinder(D), at=(0.25, 0.24), joints=("hinge z",), motion=lambda t: 0.001 * t)
+        else:
+            scene.add(sphere(D), at=(0.2, 0.203, 0.196))
+        found.append(scene.run(20.0).wrench)
+    assert np.abs(found[1] - found[0]).max() < 1e-4 * np.abs(found[0]).max()
 
 
 def test_several_bodies_have_the_held_ones_first():
@@ -146,6 +161,7 @@ def scene_with(**options) -> None:
     (lambda: scene_with(motion=lambda t: 0.0), "a motion without slides or hinges"),
     (lambda: scene_with(joints=("slide x",), motion=lambda t: (0.0, 1.0)), r"motion at t = 0 s has the shape \(2,\)"),
     (lambda: scene_with(body=plate(D, D), joints=("free",), density=1.0), "a free plate without volume"),
+    (lambda: scene_with(body=plate(D, D, sharpness=WALL_STRESS)), "plate: markers with a law for the wall's stress"),
     (lambda: tank().run(1.0), "no body; add one"),
     (lambda: tank().add(sphere(D), at=(0.25, 0.24, 0.24)).coefficients(), "need a stream and a record"),
     (lambda: mesh("nowhere.stl"), "no such file"),
@@ -172,6 +188,7 @@ def test_a_model_is_refused_by_what_it_lacks():
     for wrong, said in (
         (lambda: tank().add(model(joint, 'group="3"')), "no geom in the groups 0 to 2"),
         (lambda: tank().add(model(joint, ""), at=(0.1, 0.1, 0.1)), "place, joints"),
+        (lambda: tank(gravity=(0, 0, -9.81)).add(model(joint, "")), "gravity beside a MuJoCo model"),
         (lambda: tank().add(model("<freejoint/>", ""), motion=lambda t: 0.0), "a free or ball joint"),
         (lambda: tank().add(model(joint, "")).add(sphere(D), at=(0.1, 0.1, 0.1)), "a shape beside a MuJoCo model"),
         (lambda: tank((0.36, 0.5, 0.5)).add(model(joint, ""), motion=lambda t: 0.0).run(1.0), "the model from x"),

@@ -194,7 +194,13 @@ class Scene:
                 f" {shape.size / FEWEST:.3g} m or less"
             )
         start = np.zeros(3) if motion is None else _shifted(joints, _position(motion, 0.0, len(joints)))
-        self._check_place(shape.name, shape.markers(self.lattice.dx).rest + place + start, self._sponge_for(shape.size))
+        markers = shape.markers(self.lattice.dx)
+        if markers.law_height is not None:
+            raise ConfigError(
+                f"scene: {shape.name}: markers with a law for the wall's stress; the walls of a scene are without slip: take"
+                " another sharpness, or FluidStructure with slip = 1"
+            )
+        self._check_place(shape.name, markers.rest + place + start, self._sponge_for(shape.size))
         self._placed.append(one)
         return self
 
@@ -207,6 +213,8 @@ class Scene:
             raise ConfigError("scene: a MuJoCo model beside other bodies; expected one model that holds all of them")
         if self.flat:
             raise ConfigError("scene: a MuJoCo model in a box of two lengths; expected box=(x, y, z)")
+        if self.gravity.any():
+            raise ConfigError("scene: gravity beside a MuJoCo model, which has its own; set it there: <option gravity=..>")
         if motion is not None and model.nq != model.nv:
             raise ConfigError("scene: the motion of a model with a free or ball joint; expected hinges and slides only")
         self._model = model, motion, link_surfaces(model)
@@ -472,9 +480,8 @@ def _joined(parts: Sequence[Markers], links: Sequence[int]) -> Markers:
     """Markers of several rigid links as one."""
     join = lambda name: np.concatenate([getattr(part, name) for part in parts])
     index = np.concatenate([np.full(len(part), link) for part, link in zip(parts, links, strict=True)])
-    plain: dict[str, Any] = {
-        name: join(name) for name in ("rest", "normal", "area", "pivot", "share", "sheet", "slip_length", "layer")
-    }
+    names = ("rest", "normal", "area", "pivot", "share", "sheet", "slip_length", "layer")
+    plain: dict[str, Any] = {name: join(name) for name in names}
     return Markers(**plain, before=index, after=index)
 
 

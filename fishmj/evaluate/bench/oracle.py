@@ -213,10 +213,46 @@ def oracle_window_cpu(quick: bool) -> BenchmarkWork:
     return _resting(domain, device, TICKS_QUICK if quick else TICKS_CPU, 1, domain.dt)
 
 
+# beside the plain kernel ----------------------------------------------------------------------------------------------
+
+LAPTOP_SHAPE = (80, 56, 30)
+
+
+def _one_core(quick: bool, make, threads: int) -> BenchmarkWork:
+    """The laptop's water without a fish on one core, by the kernel of `make` with `threads` threads a plane of x."""
+    from unittest.mock import patch
+
+    from fishmj.lbm_oracle.fluid import fluid
+    from fishmj.lbm_oracle.fluid.domain_faces import channel
+    from fishmj.lbm_oracle.fluid.lattice import Lattice
+
+    with patch.object(fluid, "kernel_for", lambda shape, device: (make, threads)):
+        water = fluid.Fluid(Lattice(dx=0.02, dt=0.004), LAPTOP_SHAPE, "cpu", boundaries=channel(), threads=1)
+    steps = PEER_QUICK if quick else PEER_STEPS
+    run = lambda: water.run(steps)
+    run()
+    return BenchmarkWork(run, steps * water.cells / MEGA, "cpu, 1 slab")
+
+
+def plain_kernel(quick: bool) -> BenchmarkWork:
+    """The same a cell at a time, by the kernel that the others are tested against."""
+    from fishmj.lbm_oracle.fluid.step import stream_collide
+
+    return _one_core(quick, stream_collide, LAPTOP_SHAPE[1] * LAPTOP_SHAPE[2])
+
+
+@benchmark("oracle_core_cpu", "MLUPS", baseline=plain_kernel)
+def oracle_core_cpu(quick: bool) -> BenchmarkWork:
+    """Updates of one core by blocks of rows, with eddy viscosity and open faces, beside a cell at a time."""
+    from fishmj.lbm_oracle.fluid.rows import stream_collide_rows
+
+    return _one_core(quick, stream_collide_rows, 1)
+
+
 # beside another solver ------------------------------------------------------------------------------------------------
 
 PEER = ("xlb==0.3.1", "warp-lang==1.10.0")  # the last Warp that this XLB was tried with
-PEER_SHAPE, PEER_STEPS, PEER_QUICK = (80, 56, 30), 20, 4
+PEER_SHAPE, PEER_STEPS, PEER_QUICK = LAPTOP_SHAPE, 20, 4
 PEER_WAIT = 300.0  # s; it compiles when it starts
 
 

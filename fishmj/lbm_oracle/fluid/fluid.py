@@ -39,6 +39,7 @@ from fishmj.lbm_oracle.fluid.storage import STORAGE, decoded, encoded, velocity_
 from fishmj.water.flow import Flow
 
 ROWS = 40_000  # cells from which on a CPU goes by rows: five times as fast, and longer to compile
+FLAT = 2  # cells along z up to which it goes by cells: a vector register would hold one row. 13 and 13 MLUPS, by rows 6 and 12
 CW, OMEGA_BULK, BLEND, LAYER = (constant("oracle", name) for name in ("wale", "omega_bulk", "blend", "blend_layer"))
 NOWHERE = ((0, 0, 0), (0, 0, 0))
 STRIDES = (20, 2)  # steps in a captured graph: between two of them the device pauses for a microsecond or two
@@ -60,7 +61,7 @@ def kernel_for(shape: tuple[int, int, int], device) -> tuple[Callable[..., wp.Ke
     row, cells = shape[2], int(np.prod(shape))
     if device.is_cuda and row % 2 == 0:
         return stream_collide_pairs, shape[1] * row // 2
-    if not device.is_cuda and cells >= ROWS:
+    if not device.is_cuda and cells >= ROWS and row > FLAT:
         return stream_collide_rows, 1
     return stream_collide, shape[1] * row
 

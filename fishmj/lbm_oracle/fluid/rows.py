@@ -347,7 +347,7 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                     if wp.static(keeps):
                         if at_y >= s.low[1] and at_y < s.high[1]:
                             k = wp.max(begin - first, 0)
-                            last = wp.where(every and y < ny - 1, whole, wp.min(end - first, count))
+                            last = wp.where(every, wp.min(whole, (ny - y) * nz - first), wp.min(end - first, count))
                             while k < last:
                                 for a in range(3):
                                     poke3_at(u_next, row + first, k, a, peek_at(velocities, wp.static(a) * LONG, k))
@@ -361,8 +361,8 @@ def stream_collide_rows(faces: Faces, subgrid: bool, dtype: str = "float32", kee
                     r += 1
 
                 runs, length = wp.where(every, 1, rows), wp.where(every, (rows - 1) * nz + count, count)
-                if every and lowest + rows < ny:
-                    length = (length + WIDE - 1) / WIDE * WIDE
+                if every:  # whole vectors, but never into the next plane: another thread steps it
+                    length = wp.min((length + WIDE - 1) / WIDE * WIDE, (ny - lowest) * nz - first)
                 i = int(0)  # noqa: UP018
                 while i < wp.static(Q):
                     r = int(0)  # noqa: UP018

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from math import log, nan
 from typing import NamedTuple
 
+import numpy as np
 from scipy.optimize import brentq
 
 from fishmj.base import console
@@ -52,10 +53,12 @@ def grid_study(function: Callable[[float], float], dx: Sequence[float]) -> GridS
     if (sizes[:-1] < LEAST_RATIO * sizes[1:]).any():
         raise ConfigError(f"grid study: dx = {sizes.tolist()}; expected three cells, each {LEAST_RATIO} times the next or more")
     values = []
-    with console.Progress(float((1 / sizes**3).sum()), "grid study") as bar:
+    work = np.cumsum(1 / sizes**3)  # cells times steps of a flow in the plane
+    with console.Progress(float(work[-1]), "grid study") as bar:
         for i, size in enumerate(sizes):
             bar.stage(f"dx = {size:g}, {i + 1} of 3")
             values.append(float(numbers(f"grid study: value at dx = {size:g}", function(float(size)))))
+            bar.update(float(work[i]))
     return judged(tuple(sizes.tolist()), tuple(values))
 
 

@@ -36,9 +36,11 @@ CHECKED = "3f5d5c786db440eda181170c089b18802b7fee14a50425a13bee6734b368ec5e"  # 
 ROOMS = "e9e86576e9e2d74b532ae597dde80d9adbc213fc0e50627dc4d6cc974ec94984"  # imports of moved modules, no other line
 # one generator for a coupled step, one class of run for all levels, one subgrid model, plain names; to the bit on a CPU
 ONE_LOOP = "3fe611ac37e302d67b2ecb0e893490b86e9764493a8878f400bbcfcd5a9525ba"
-WALLS = "aafe5b5063d7eac911cae915f170d6a94a6d43173a4d2fe789a12cd1039d7b08"  # an option, a law of the wall; the rest to the bit
+# an option, a law of the wall; blocks of rows on a CPU; the rest to the bit
+WALLS = "d878cfcd8e5cf6f0a8932c30321d06243572905713901643aa403a3dc090b236"
+LAYERS = "d6e7621cb8516b66485d4b7d0cf54ab17e2bf095ef4b733814c21cea54003931"  # an option, water that moves with sheets; the rest to the bit
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys((*LATER, WALLS), SHIPPED)
+SAME = dict.fromkeys((*LATER, WALLS, LAYERS), SHIPPED)
 
 
 @cache
