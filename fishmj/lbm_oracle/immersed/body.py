@@ -226,7 +226,7 @@ class ImmersedBody:
         return self.system, self._right
 
     def water_momentum(self) -> np.ndarray:
-        """Linear and angular momentum (about its own centre) of each link's displaced water, world axes, (L, 6)."""
+        """Linear and angular momentum (about its centre) of each link's displaced water and layers, world axes, (L, 6)."""
         return self._now.copy()
 
     def solid_momentum(self) -> np.ndarray:

@@ -83,9 +83,9 @@ class Sharpness:
 
     def __repr__(self) -> str:
         """Lengths as records have them; `law_height` and `layer` only if there is one."""
-        given = {
-            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("law_height", "layer") or getattr(self, f.name)
-        }
+        late = {"law_height": None, "layer": 0.0}
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        given = {name: value for name, value in given.items() if name not in late or value != late[name]}
         return f"Sharpness({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
