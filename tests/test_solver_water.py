@@ -70,7 +70,7 @@ def test_half_precision_has_its_own_label_and_fingerprint_and_no_reference():
 
 
 def test_a_boundary_has_its_name_or_says_its_lengths():
-    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "sharp", "edges", "wall_stress"]
+    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "sharp", "edges", "fins", "wall_stress"]
     assert BOUNDARIES["sharp"] == SHARP and boundary_name(Sharpness()) == "plain"
     assert "rim=0.9" in boundary_name(Sharpness(rim=0.9))
 

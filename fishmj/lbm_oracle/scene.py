@@ -480,7 +480,8 @@ def _joined(parts: Sequence[Markers], links: Sequence[int]) -> Markers:
     """Markers of several rigid links as one."""
     join = lambda name: np.concatenate([getattr(part, name) for part in parts])
     index = np.concatenate([np.full(len(part), link) for part, link in zip(parts, links, strict=True)])
-    plain: dict[str, Any] = {name: join(name) for name in ("rest", "normal", "area", "pivot", "share", "sheet", "slip_length")}
+    names = ("rest", "normal", "area", "pivot", "share", "sheet", "slip_length", "layer")
+    plain: dict[str, Any] = {name: join(name) for name in names}
     return Markers(**plain, before=index, after=index)
 
 

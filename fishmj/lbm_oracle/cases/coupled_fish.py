@@ -6,11 +6,11 @@ coupling, so that swimming forwards proves little.
 
     grid + solid - displaced = constant            in a periodic box, nothing else pushing
 
-grid = sum rho u over all cells, including the inside of the hull; solid = sum m_l u_l of the links; displaced = sum of the h_l of
-the interior water (`immersed/__init__.py`), which the grid contains and a real fish does not. `displaced` is the value of the
-step before, `ImmersedBody.momentum`, because at the end of a step the links have got back that much. With the present value the
-balance would be off by the interior water's gain in one step. A coupling that loses I, its Coriolis part or a sign drifts by the
-whole momentum of the fish within a few beats (docs/solver/coupling.md).
+grid = sum rho u over all cells, including the inside of the hull; solid = sum m_l u_l of the links; displaced = sum of the h_l
+of the interior water and the layers on sheets (`immersed/__init__.py`), which the grid contains and a real fish does not.
+`displaced` is the value of the step before, `ImmersedBody.momentum`, because at the end of a step the links have got back that
+much. With the present value the balance would be off by the interior water's gain in one step. A coupling that loses I, its
+Coriolis part or a sign drifts by the whole momentum of the fish within a few beats (docs/solver/coupling.md).
 
 `fish_headings` swims in a following window and in a fixed tank, along the grid and across it. Velocities are those of the world
 in a window that moves by whole cells, so only the faces and the grid's axes may change the result.
@@ -60,7 +60,7 @@ def momentum(coupled: FluidStructure) -> Momentum:
     else:
         f = fluid.f.numpy().reshape(len(VELOCITIES), -1).sum(1, dtype=float)
         grid = f @ VELOCITIES * fluid.lattice.mass * fluid.lattice.velocity
-    return Momentum(grid, body.solid_momentum()[:, :3].sum(0), body.momentum[:, :3].sum(0))
+    return Momentum(grid, body.solid_momentum()[:, :3].sum(0), (body.momentum + body.layer_momentum)[:, :3].sum(0))
 
 
 def drift(history: list[Momentum]) -> float:

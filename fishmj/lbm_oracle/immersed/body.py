@@ -3,6 +3,8 @@
     (M + dt D + K) v+ = (M + dt D) v + dt (passive + actuators - bias) - b0 + I            K, b0: the water (kernels.py)
     I = sum_l J_l^T (h_l^n - h_l^n-1) - dt sum_l J_l^T m_l g,   h_l = (m_l u_l, I_l w_l)      the water inside the hull
 
+Sheets have layers of water round them that move along, too (`markers.py`). `carry_layers` sets their inertia.
+
 D is joint damping (the servo's back-EMF), which MuJoCo's Euler integrator treats implicitly. h_l is the momentum of the displaced
 water of link l. Across the link this water moves with the link; along the link its speed is measured (kernels.py). m_l is its
 mass, u_l the velocity of its centre. The immersed boundary accelerates that water too, which a real hull does not contain. The
@@ -102,10 +104,14 @@ class ImmersedBody:
         self.system, self._right = np.zeros((n, n)), np.zeros(n)
         self.smooth, self.gain = np.zeros(n), np.zeros((count, 6))
         self.interior_speed = np.full(count, np.nan)  # m/s, of the interior water along each link; nan: it moves with the link
+        self.layers, self._has_layers = np.zeros((count, 6, 6)), np.zeros(1, np.int32)
         self._now, self._weight = np.zeros((count, 6)), np.zeros((count, 6))
         self.momentum = np.zeros((count, 6))  # of the interior water at the end of the step before; written in place
+        self.layer_momentum, self.sheet_momentum = np.zeros((count, 6)), np.zeros((count, 6))  # of the layers: at that time, now
         self.impulse, self._target, self._dt, self._check = np.zeros(n), np.zeros(n), np.zeros(1), np.zeros(2)
-        self._moving, self._move = self._follow(water, centre=self.centre, twist=self.twist, now=self._now)
+        self._moving, self._move = self._follow(
+            water, centre=self.centre, twist=self.twist, now=self._now, sheet=self.sheet_momentum
+        )
         plain, whole = self._equations(0), self._equations(1)  # without and with the water's gain
         self._balance = [link_dynamics.Recorded(link_dynamics.assemble, e) for e in (plain, whole)]
         self._inverse_force, self._compare = (
@@ -168,7 +174,16 @@ class ImmersedBody:
         self.data.qpos[:], self.data.qvel[:], self.interior_speed[:] = qpos, qvel, interior_speed
         self._weigh()
         self.forward()
-        self.momentum[:] = self._now
+        self.momentum[:], self.layer_momentum[:] = self._now, self.sheet_momentum
+
+    def carry_layers(self, inertia: np.ndarray) -> None:
+        """Sets the inertia (L, 6, 6) of the layers of water on the sheets (`Markers.layer_inertia`); they gain nothing by it."""
+        if np.array_equal(self.layers, inertia):  # the same body in other water
+            return
+        self.layers[:] = inertia
+        self._has_layers[:], self.sheet_momentum[:] = inertia.any(), 0.0
+        self._move.launch()
+        self.layer_momentum[:] = self.sheet_momentum
 
     def set_interior_speed(self, speed: np.ndarray) -> None:
         """Sets the speed of the interior water along the links, (L,) m/s. Its gain counts from the second call on."""
@@ -228,7 +243,8 @@ class ImmersedBody:
         inertia = np.einsum("lab,lb,lcb->lac", axes, m.body_inertia[1:], axes)
         found = np.zeros((self.links, 6))
         solid = DisplacedWater(mass=m.body_mass[1:], centre=m.body_ipos[1:], inertia=inertia)
-        self._follow(solid, centre=np.zeros((self.links, 3)), twist=np.zeros((self.links, 6)), now=found)[1].launch()
+        zero = {"centre": np.zeros((self.links, 3)), "twist": np.zeros((self.links, 6)), "sheet": np.zeros((self.links, 6))}
+        self._follow(solid, now=found, **zero)[1].launch()
         return found
 
     def _follow(self, mass: DisplacedWater, **found: np.ndarray) -> tuple[link_dynamics.LinkArrays, link_dynamics.Recorded]:
@@ -250,8 +266,10 @@ class ImmersedBody:
         s.hinge = share(np.array([_hinge_address(m, i + 1) for i in range(self.links)], np.int32), int)
         s.arm, s.mass, s.inertia = (share(np.array(a, float)) for a in (mass.centre, mass.mass, mass.inertia))
         s.pose, s.jacobian = share(self.pose), share(np.zeros((6 * self.links, n)))
-        s.interior_speed = share(self.interior_speed if mass is self.water else np.full(self.links, np.nan))
-        s.centre, s.twist, s.now = (share(found[name]) for name in ("centre", "twist", "now"))
+        mine = mass is self.water
+        s.layers, s.has_layers = share(self.layers), share(self._has_layers if mine else np.zeros(1, np.int32), int)
+        s.interior_speed = share(self.interior_speed if mine else np.full(self.links, np.nan))
+        s.centre, s.twist, s.now, s.sheet = (share(found[name]) for name in ("centre", "twist", "now", "sheet"))
         return s, link_dynamics.Recorded(link_dynamics.move, s)
 
     def _equations(self, interior: int) -> link_dynamics.LinkDynamics:
@@ -260,6 +278,7 @@ class ImmersedBody:
         e.body, e.interior = self._moving, interior
         e.dt, e.damping, e.applied = share(self._dt), share(self.model.dof_damping), share(self.applied)
         e.passive, e.actuator, e.bias = share(d.qfrc_passive), share(d.qfrc_actuator), share(d.qfrc_bias)
+        e.layer_last = share(self.layer_momentum)
         e.weight, e.last, e.gain, e.impulse = (share(a) for a in (self._weight, self.momentum, self.gain, self.impulse))
         e.smooth, e.system, e.right = share(self.smooth), share(self.system), share(self._right)
         e.target, e.applied_force, e.check = share(self._target), share(d.qfrc_applied), share(self._check)

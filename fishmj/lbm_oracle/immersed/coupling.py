@@ -95,6 +95,7 @@ class FluidStructure:
             raise ConfigError(f"coupled: the fluid steps {fluid.lattice.dt} s and the body {body.dt} s; give both the same dt")
         self.fluid, self.body, self.scheme, self.interior, self.slip = fluid, body, scheme, interior, slip
         self.boundary = Boundary(markers, body, fluid, width=width, passes=passes, slip=slip)
+        body.carry_layers(markers.layer_inertia(body.links, body.water.centre, fluid.lattice.dx, fluid.lattice.rho))
         self.steps, self.watch = 0, StabilityMonitor()
         self.in_flight = False  # the device runs a next tick whose result the host has not read back (`DeviceSteps.queue_next`)
         self.steps_since_sync = 1  # steps between the last two times that the host read the body

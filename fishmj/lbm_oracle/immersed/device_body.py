@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.immersed.articulated_body import (
 )
 from fishmj.lbm_oracle.immersed.fsi_solve import wait_for_block
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays
-from fishmj.lbm_oracle.immersed.link_dynamics import store_vec3
+from fishmj.lbm_oracle.immersed.link_dynamics import FOLLOWS, layer_momentum, store_vec3
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})  # unrolled further it takes long to compile
 
@@ -41,10 +41,13 @@ class InteriorWater:
     mass: wp.array(dtype=wp.float64)  # L
     centre: wp.array(dtype=wp.float64)  # 3 L, in the link's frame
     inertia: wp.array(dtype=wp.float64)  # 9 L
+    has_layers: int  # 1 if there are layers of water on sheets
+    layers: wp.array(dtype=wp.float64)  # 36 L, their inertia, by rows
     weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
     measured_speed: wp.array(dtype=wp.float64)  # L, speed along the link as this step measures it
     speed: wp.array(dtype=wp.float64)  # L, as the step before measured it; nan: it moves as the link does
     last_momentum: wp.array(dtype=wp.float64)  # 6 L, momentum at the start of the step before
+    layer_momentum: wp.array(dtype=wp.float64)  # 6 L, of the layers
     total_gain: wp.array(dtype=wp.float64)  # 6 L, what it gained in all steps
     push: wp.array(dtype=wp.float64)  # 6 L, moment about the first link's frame and force times dt
     applied: wp.array(dtype=wp.float64)  # n
@@ -121,6 +124,13 @@ def gain_of_interior(t: Tree, s: Motion, e: InteriorWater, l: int):
     turn = matrix3(s.pose, 12 * l + 3)
     p = point3(s.pose, 12 * l) - point3(s.pose, 0) + turn * point3(e.centre, 3 * l)
     u += wp.cross(w, p)
+    sheet, turning = wp.vec3d(), wp.vec3d()
+    if e.has_layers == 1:
+        sheet, turning = layer_momentum(e.layers, 36 * l, turn, u, w)
+        sheet = wp.float64(FOLLOWS) * (sheet - point3(e.layer_momentum, 6 * l))
+        turning = wp.float64(FOLLOWS) * (turning - point3(e.layer_momentum, 6 * l + 3))
+        store_vec3(e.layer_momentum, 6 * l, point3(e.layer_momentum, 6 * l) + sheet)
+        store_vec3(e.layer_momentum, 6 * l + 3, point3(e.layer_momentum, 6 * l + 3) + turning)
     if e.speed[l] == e.speed[l]:  # not nan
         along = wp.vec3d(turn[0, 0], turn[1, 0], turn[2, 0])
         u += (e.speed[l] - wp.dot(along, u)) * along
@@ -128,6 +138,9 @@ def gain_of_interior(t: Tree, s: Motion, e: InteriorWater, l: int):
     gained, spun = linear - point3(e.last_momentum, 6 * l), angular - point3(e.last_momentum, 6 * l + 3)
     store_vec3(e.last_momentum, 6 * l, linear)
     store_vec3(e.last_momentum, 6 * l + 3, angular)
+    if e.has_layers == 1:
+        gained += sheet
+        spun += turning
     if e.counts_gain == 0:
         gained, spun = wp.vec3d(), wp.vec3d()
     store_vec3(e.total_gain, 6 * l, point3(e.total_gain, 6 * l) + gained)

@@ -87,6 +87,7 @@ class DeviceSteps:
             "qpos": body.model.nq,
             "qvel": n,
             "last_momentum": 6 * links,
+            "layer_momentum": 6 * links,
             "speed": links,
         }  # the device can keep these
         sizes = self._carried | {"applied": n, "total_gain": 6 * links, "fastest": 1, "command": self.count * max(servos, 1)}
@@ -134,15 +135,19 @@ class DeviceSteps:
         weight[:, :3] = body.dt * water.mass[:, None] * body.model.opt.gravity
         e.dt, e.counts_gain = body.dt, int(self.coupled.interior)
         e.speed, e.applied, e.fastest = here["speed"], here["applied"], here["fastest"]
-        e.last_momentum, e.total_gain = here["last_momentum"], here["total_gain"]
+        e.last_momentum, e.total_gain, e.layer_momentum = (
+            here[name] for name in ("last_momentum", "total_gain", "layer_momentum")
+        )
         e.measured_speed = here["measured_speed"][k * body.links : (k + 1) * body.links]
+        e.has_layers = int(body.layers.any())
         (e.dx, e.grid, e.size) = corners.grid
         if k:
-            for name in ("mass", "centre", "inertia", "weight", "push", "link_boxes", "corner"):
+            for name in ("mass", "centre", "inertia", "layers", "weight", "push", "link_boxes", "corner"):
                 setattr(e, name, getattr(self._first, name))
             return e
         self._first = e
         e.mass, e.centre, e.inertia, e.weight = make(water.mass), make(water.centre), make(water.inertia), make(weight)
+        e.layers = make(body.layers)
         e.push, e.link_boxes, e.corner = make(np.zeros(6 * body.links)), make(np.zeros(7 * body.links)), make(corners.at)
         return e
 
@@ -173,6 +178,7 @@ class DeviceSteps:
         sent = self._host[(self._runs + 1) % 2].sent
         sent["qpos"][:], sent["qvel"][:] = body.data.qpos, body.data.qvel
         sent["last_momentum"][:], sent["speed"][:] = body.momentum.ravel(), body.interior_speed
+        sent["layer_momentum"][:] = body.layer_momentum.ravel()
         self._send(command, fixed, 0)
 
     def queue_next(self, command: np.ndarray) -> None:
@@ -268,6 +274,7 @@ class DeviceSteps:
         if len(self._dof):
             d.ctrl[:] = returned["command"].reshape(self.count, -1)[-1]
         body.momentum[:], body.interior_speed[:] = returned["last_momentum"].reshape(-1, 6), returned["speed"]
+        body.layer_momentum[:] = returned["layer_momentum"].reshape(-1, 6)
         body.forward()
         self.boundary.set_wrench(returned["wrench"].reshape(-1, 6))
         if self.coupled.interior:
@@ -286,6 +293,7 @@ class DeviceSteps:
         coupled, body, returned = self.coupled, self.coupled.body, self.returned
         d, n, time = body.data, body.dofs, self.coupled.time
         kept = d.qpos.copy(), d.qvel.copy(), body.momentum.copy(), body.interior_speed.copy(), d.ctrl.copy()
+        layers = body.layer_momentum.copy()
         actuator, rates = returned["actuator"].reshape(self.count, n), returned["rate"].reshape(self.count, n)
         measured_speed, torque, right = returned["measured_speed"].reshape(self.count, -1), np.zeros(n), np.zeros(n)
         try:
@@ -320,7 +328,7 @@ class DeviceSteps:
             qpos, qvel, momentum, speed, d.ctrl[:] = kept
             d.time = time
             body.place(qpos, qvel, speed)
-            body.momentum[:] = momentum
+            body.momentum[:], body.layer_momentum[:] = momentum, layers
 
     # launches: none waits for the host, so that a graph can hold them ---------------------------------------------------
 

@@ -4,7 +4,10 @@
     (u_l, w_l) = J_l v                             its motion; columns (a x (c_l - o), a) of a hinge, (a, 0) of a slide
     h_l = (m_l (u_l + t_l (s_l - t_l . u_l)),      its momentum; s_l: measured along the link; nan: it moves with the link
            R_l I_l R_l^T w_l)
-    right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 - dt m_l g)
+    g_l <- g_l + b (R_l S_l R_l^T (u_l, w_l) - g_l)            of the layers on its sheets, S_l: `Markers.layer_inertia`
+    right = (M + dt D) v + dt f + sum_l J_l^T (h_l^n - h_l^n-1 + g_l^n - g_l^n-1 - dt m_l g)
+
+g_l follows the sheet with a lag, since a light sheet would vibrate from step to step without it.
 
 The boxes round the markers of every link give the part of the water that they span, and the speed of their corners:
 
@@ -27,6 +30,7 @@ from fishmj.lbm_oracle.immersed.markers import Markers
 
 wp.set_module_options({"enable_backward": False})
 
+FOLLOWS = 0.5  # b, share of a step's change that the layers' momentum takes up
 HINGE, FIXED = -1, -2  # axes of motion: MuJoCo's own; one of the world's (FIXED - i); one of the link's that turns (0, 1, 2)
 
 
@@ -51,12 +55,15 @@ class LinkArrays:
     arm: wp.array(dtype=wp.float64)  # 3 L, r
     mass: wp.array(dtype=wp.float64)  # L
     inertia: wp.array(dtype=wp.float64)  # 9 L
+    layers: wp.array(dtype=wp.float64)  # 36 L, S, by rows
+    has_layers: wp.array(dtype=int)  # 1, 0 where S is zero
     interior_speed: wp.array(dtype=wp.float64)  # L, s; nan where it moves as the link does
     pose: wp.array(dtype=wp.float64)  # 12 L + L + 3 n + 3 n: frames, angles, axes a, anchors o
     centre: wp.array(dtype=wp.float64)  # 3 L, c
     jacobian: wp.array(dtype=wp.float64)  # 6 L n, J
     twist: wp.array(dtype=wp.float64)  # 6 L, (u, w)
     now: wp.array(dtype=wp.float64)  # 6 L, h
+    sheet: wp.array(dtype=wp.float64)  # 6 L, momentum of the layers at this twist
 
 
 @wp.struct
@@ -73,6 +80,7 @@ class LinkDynamics:
     applied: wp.array(dtype=wp.float64)
     weight: wp.array(dtype=wp.float64)  # 6 L, dt m g
     last: wp.array(dtype=wp.float64)  # 6 L, h of the step before
+    layer_last: wp.array(dtype=wp.float64)  # 6 L, g of the step before
     gain: wp.array(dtype=wp.float64)  # 6 L
     impulse: wp.array(dtype=wp.float64)  # n, I
     smooth: wp.array(dtype=wp.float64)  # n, f
@@ -87,6 +95,19 @@ class LinkDynamics:
 def store_vec3(a: wp.array(dtype=wp.float64), at: int, v: wp.vec3d):
     """Stores a vector at offset `at` of a flat array."""
     ...
+
+
+@wp.func
+def layer_momentum(layers: wp.array(dtype=wp.float64), at: int, turn: wp.mat33d, u: wp.vec3d, w: wp.vec3d):
+    """Linear and angular momentum of the layers of water on a link's sheets, S at offset `at`, at the link's twist (u, w)."""
+    back = wp.transpose(turn)
+    v, spin = back * u, back * w
+    linear, angular = wp.vec3d(), wp.vec3d()
+    for i in range(3):
+        for j in range(3):
+            linear[i] += layers[at + 6 * i + j] * v[j] + layers[at + 6 * i + 3 + j] * spin[j]
+            angular[i] += layers[at + 6 * (i + 3) + j] * v[j] + layers[at + 6 * (i + 3) + 3 + j] * spin[j]
+    return turn * linear, turn * angular
 
 
 @wp.kernel
@@ -126,6 +147,10 @@ def move(s: LinkArrays):
             w += s.qvel[d] * spin
         store_vec3(s.twist, 6 * l, u)
         store_vec3(s.twist, 6 * l + 3, w)
+        if s.has_layers[0] == 1:
+            linear, angular = layer_momentum(s.layers, 36 * l, turn, u, w)
+            store_vec3(s.sheet, 6 * l, linear)
+            store_vec3(s.sheet, 6 * l + 3, angular)
         if (
             s.interior_speed[l] == s.interior_speed[l]
         ):  # not nan: measured. Only along the link: across it the wall takes it along
@@ -145,6 +170,10 @@ def add_interior(e: LinkDynamics):
         # a difference in the world's axes, not M_f a: it contains the Coriolis part and telescopes over the steps
         e.gain[k] = s.now[k] - e.last[k]
         e.last[k] = s.now[k]
+        if s.has_layers[0] == 1:
+            gained = wp.float64(FOLLOWS) * (s.sheet[k] - e.layer_last[k])
+            e.gain[k] += gained
+            e.layer_last[k] += gained
         push = wp.where(e.interior == 1, e.gain[k], wp.float64(0.0)) - e.weight[k]
         for d in range(s.dofs):
             e.impulse[d] += push * s.jacobian[k * s.dofs + d]

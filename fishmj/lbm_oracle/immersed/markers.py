@@ -14,6 +14,12 @@ interpolation sees this as zero, with k = E |r - r'| for two independent draws f
 front of the sheet on either side. A slip length of k corrects this: u - U = k g, and the force on the water is
 2 nu g = 2 nu (u - U) / k.
 
+An accelerated sheet takes water along for the same reason. A pressure jump of wave number q along the sheet moves it by
+q / 2 (1 - q k') of itself per unit of time, by q / 2 if the sheet is thin, so that the sheet has an extra inertia of 2 k' rho per
+area: a layer 2 k' cells thick moves with it along its normal. k' = 0.88: 0.65 by the kernel, and the rest by the lattice, which
+moves a shear of wave number q by 1 / (1 + tan^2(q / 2) / 3) of a force along it. `layer` is the thickness of that water. Its
+momentum goes back to the links as that of the water inside a hull does (`body.py`).
+
 Each marker has area A, acts on the volume V = A dx, and hangs on a hinge: it belongs with weight 1 - share to the link before
 the hinge and with weight share to the link behind it (`mjcf.skin`), so the hull bends without gaps.
 """
@@ -39,6 +45,7 @@ CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
 EDGE_RADIUS = 2 / 3  # cells; an edge of this radius is drawn in half-way between a rim and a hull
 FLAT = 0.003  # share of an arc that faces across it, below which the arc counts as flat
+LAYER = 1.76  # 2 k', cells of water that move with a sheet; 3 points
 KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
 
 
@@ -49,6 +56,7 @@ class Sharpness:
     hull: inset of hulls along their normal. rim: inset of sheets at their free edges, in their plane. None: both from
         `offset_of`.
     hull_slip, sheet_slip: slip lengths for no-slip walls (slip = 0); a wall with a slip ratio has its friction from that ratio.
+    layer: thickness of the water that moves with a sheet, whose momentum its link gets back.
     edges: hulls are drawn in by the whole length, however thin they are. A section then ends above and below in an edge, which is
     drawn in like a rim, less if it is rounder; a marker on it has all the normals of its arc.
     law_height: m, least distance at which the water gives the stress of the wall (`wall_law.py`), and with it a slip ratio for
@@ -61,20 +69,23 @@ class Sharpness:
     sheet_slip: float = 0.0
     edges: bool = False
     law_height: float | None = None
+    layer: float = 0.0
 
     def __post_init__(self):
         """Raises ConfigError for an invalid length."""
         for name in ("hull", "rim"):
             if getattr(self, name) is not None:
                 numbers(f"sharpness: {name}", getattr(self, name))
-        for name in ("hull_slip", "sheet_slip"):
+        for name in ("hull_slip", "sheet_slip", "layer"):
             numbers(f"sharpness: {name}", getattr(self, name), low=0.0)
         if self.law_height is not None:
             numbers("sharpness: law_height", self.law_height, low=0.0)
 
     def __repr__(self) -> str:
-        """Lengths as records have them; `law_height` only if there is one."""
-        given = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "law_height" or self.law_height is not None}
+        """Lengths as records have them; `law_height` and `layer` only if there is one."""
+        late = {"law_height": None, "layer": 0.0}
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        given = {name: value for name, value in given.items() if name not in late or value != late[name]}
         return f"Sharpness({', '.join(f'{name}={value!r}' for name, value in given.items())})"
 
     def insets(self, width: int = 3, slip: float = 0.0, hydro_offset: float | None = None) -> tuple[float, float]:
@@ -91,12 +102,20 @@ class Sharpness:
         """
         return np.where(sheet, np.maximum(self.sheet_slip - thick, 0.0), self.hull_slip)
 
+    def layer_of(self, sheet: np.ndarray, thick=0.0) -> np.ndarray:
+        """Thickness (N,) cells of the water that moves with each marker; arguments as `slip_length`.
+
+        What the sheet stands for is water inside the link already.
+        """
+        return np.where(sheet, np.maximum(self.layer - 2 * np.asarray(thick), 0.0), 0.0)
+
 
 PLAIN = Sharpness()
 # chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (studies/solver/NOTES.md)
 SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
 EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 WALL_STRESS = replace(EDGES, law_height=0.015)
+FINS = replace(EDGES, layer=LAYER)  # judged on discs and plates (`cases.disc`)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +134,7 @@ class Markers:
     share: np.ndarray  # (N,) 0..1
     sheet: np.ndarray  # (N,) bool, single sheet
     slip_length: np.ndarray | None = None  # (N,) cells, where the water sticks; None: 0
+    layer: np.ndarray | None = None  # (N,) cells of water that move with a sheet along its normal; None: 0
     law_height: float | None = None  # m, of the law for the wall's stress; None: no law
     from_nose: np.ndarray | None = None  # (N,) m along a laminar hull, above 0; None: it is turbulent
 
@@ -139,8 +159,9 @@ class Markers:
         if (np.abs(long - 1) > 1e-3).any():
             at = int(np.argmax(np.abs(long - 1)))
             raise ConfigError(f"markers: normal[{at}] has the length {long[at]:.4g}; expected unit vectors")
-        if self.slip_length is not None:
-            checked["slip_length"] = numbers("markers: slip_length", self.slip_length, (n,), low=0.0)
+        for name in ("slip_length", "layer"):
+            if getattr(self, name) is not None:
+                checked[name] = numbers(f"markers: {name}", getattr(self, name), (n,), low=0.0)
         if self.law_height is not None:
             numbers("markers: law_height", self.law_height, low=0.0)
         if self.from_nose is not None:
@@ -150,6 +171,25 @@ class Markers:
 
     def __len__(self) -> int:
         return len(self.area)
+
+    def layer_inertia(self, links: int, centre: np.ndarray, dx: float, rho: float) -> np.ndarray:
+        """Inertia of the layers on the links' sheets, (L, 6, 6), kg, kg m and kg m2, for a twist about `centre` (L, 3) m.
+
+            sum_k m_k w_k w_k^T,   m_k = rho A_k layer_k dx,   w_k = (n_k, (x_k - centre) x n_k)          in the link's frame
+
+        Cells are of dx m and water is of rho kg/m3. A marker in a bend counts on both links by its share.
+        """
+        found = np.zeros((links, 6, 6))
+        if self.layer is not None and self.layer.any():
+            mass = rho * self.area * self.layer * dx
+            for link, place, share in (
+                (self.before, self.rest, 1 - self.share),
+                (self.after, self.rest - self.pivot, self.share),
+            ):
+                arm = np.cross(place - centre[link], self.normal)
+                way = np.concatenate([self.normal, arm], 1)
+                np.add.at(found, link, (share * mass)[:, None, None] * way[:, :, None] * way[:, None])
+        return found
 
     @classmethod
     def rigid(cls, rest, normal, area, *, link: int = 0, sheet=False, sharpness: Sharpness = PLAIN) -> "Markers":
@@ -168,6 +208,7 @@ class Markers:
             share=np.zeros(n),
             sheet=sheet,
             slip_length=sharpness.slip_length(sheet),
+            layer=sharpness.layer_of(sheet),
             law_height=sharpness.law_height,
         )
 
@@ -274,6 +315,7 @@ def chain_markers(
         share=np.where(rigid, 0.0, share),
         sheet=sheet,
         slip_length=sharpness.slip_length(sheet, thick / dx),
+        layer=sharpness.layer_of(sheet, thick / dx),
         law_height=sharpness.law_height,
         from_nose=np.maximum(g.reference - point[:, 0], dx / 2) if robot.hull == "laminar" else None,
     )

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
-from fishmj.lbm_oracle.immersed.markers import SHARP, Markers, Sharpness, offset_of, sphere_markers
+from fishmj.lbm_oracle.immersed.markers import FINS, Markers, Sharpness, offset_of, sphere_markers
 from fishmj.lbm_oracle.immersed.strip import circle_markers
 
 POINTS, ROUNDS = 25, 10  # random points a marker, Lloyd's iterations: patches even to 15 %
@@ -66,7 +66,7 @@ def cylinder(diameter: float) -> BodyShape:
     return BodyShape(name="cylinder", markers=make, size=d, area=d, front=d, volume=volume, inertia=inertia, flat=True)
 
 
-def plate(chord: float, span: float | None = None, *, angle: float = 0.0, sharpness: Sharpness = SHARP) -> BodyShape:
+def plate(chord: float, span: float | None = None, *, angle: float = 0.0, sharpness: Sharpness = FINS) -> BodyShape:
     """A thin plate of `chord` m, its leading edge up by `angle` degrees; without `span` m it spans a box of two lengths.
 
     The coefficients are of the area chord x span. Raises ConfigError for invalid numbers.

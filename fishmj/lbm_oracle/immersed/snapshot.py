@@ -22,6 +22,7 @@ def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
     state = {f"fluid.{name}": np.asarray(value) for name, value in coupled.fluid.snapshot().items()}
     state |= {"qpos": data.qpos.copy(), "qvel": data.qvel.copy(), "ctrl": data.ctrl.copy(), "time": np.array(data.time)}
     state |= {"momentum": body.momentum.copy(), "slide": body.interior_speed.copy(), "applied": body.applied.copy()}
+    state |= {"layers": body.layer_momentum.copy()} if body.layers.any() else {}
     coupling = {"gain": coupled.gain.copy(), "steps": np.array(coupled.steps), "wrench": coupled.boundary.wrench.numpy().copy()}
     return state | coupling
 
@@ -43,6 +44,8 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
     body.place(state["qpos"], state["qvel"], state["slide"])
     # after `place`, which derives the interior water's momentum from the pose as if nothing had accelerated: the gain lags a step
     body.momentum[:] = state["momentum"]
+    if "layers" in state:
+        body.layer_momentum[:] = state["layers"]
     coupled.gain = state["gain"].copy()
     coupled.steps = int(state["steps"])
     coupled.boundary.wrench.assign(state["wrench"])

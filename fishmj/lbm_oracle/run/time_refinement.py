@@ -75,7 +75,7 @@ class TickState(NamedTuple):
     origin_lu: np.ndarray
     steps: int
     outer: tuple[OuterState, ...]  # the coarser levels, the finer first
-    body: tuple  # qpos, qvel, ctrl, time, momentum, interior speed
+    body: tuple  # qpos, qvel, ctrl, time, momentum, interior speed, momentum of the layers
     gain: np.ndarray
     wrench: wp.array
     done: int
@@ -84,7 +84,8 @@ class TickState(NamedTuple):
 def checkpoint(coupled: FluidStructure) -> TickState:
     """Copies everything on which the next step depends, on all levels of the water."""
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
-    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time, body.momentum.copy(), body.interior_speed.copy()
+    solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time
+    solid += body.momentum.copy(), body.interior_speed.copy(), body.layer_momentum.copy()
     with coupled.scope():
         water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
         outer = tuple(
@@ -108,8 +109,9 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
             level._place(water.origin_lu.copy())
             level.steps = water.steps
             level.clock.fill_(water.steps)
-    qpos, qvel, data.ctrl[:], data.time, momentum_before, interior_speed = kept.body
+    qpos, qvel, data.ctrl[:], data.time, momentum_before, interior_speed, layers_before = kept.body
     body.place(qpos, qvel, interior_speed)
+    body.layer_momentum[:] = layers_before
     body.momentum[:], coupled.gain, coupled.steps = momentum_before, kept.gain.copy(), kept.done
 
 
@@ -175,6 +177,7 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     body = taker.body
     now = body.water_momentum()
     body.momentum[:] = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
+    body.layer_momentum[:] = body.sheet_momentum - r * (body.sheet_momentum - body.layer_momentum)
     body.set_step(b.lattice.dt)
 
 
