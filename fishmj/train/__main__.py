@@ -87,7 +87,7 @@ def options() -> console.Parser:
     sweep = (
         "train with each of these values, without dashes before the name, and compare; several options make a grid; weights of"
     )
-    sweep += " the reward are reward.wG, .."
+    sweep += " the reward are reward.wG, .. (default: none)"
     add("--sweep", nargs="+", action="append", type=console.text, default=[], metavar=("NAME", "VALUE"), help=sweep)
     spread = f"train the runs over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all see (default: here)"
     add("--ray", type=console.text, metavar="ADDRESS", help=spread)
