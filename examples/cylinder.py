@@ -51,7 +51,7 @@ def drag(dx: float) -> float:
     record.write(f"{name}.csv")
     found, lift = scene.drag_coefficient(last), scene.coefficients()[record.times > record.times[-1] - last, 1]
     try:
-        shedding = f"St = {scene.strouhal(last):.3f}"
+        shedding = f"St = {scene.strouhal(args.times * turn / 2):.3f}"  # of the last half: three periods and more
     except ConfigError as error:  # too short, or steady
         shedding = f"no St ({error})"
     print(f"C_D = {found:.2f}, C_L' = {lift.std():.3f} (r.m.s.), {shedding}", flush=True)

@@ -130,7 +130,7 @@ def test_thin_and_overlapping_geoms_are_named(capsys):
     joined = """<mujoco><worldbody><body pos="0.2 0.24 0.24"><joint type="slide"/><geom name="a" type="sphere" size="0.05"/>
     <geom name="b" type="sphere" size="0.05" pos="0.06 0 0"/></body></worldbody></mujoco>"""
     tank().add(mujoco.MjModel.from_xml_string(joined))
-    assert re.search(r"geoms 'a' and 'b' overlap by 0\.04 m: .* displaced twice", capsys.readouterr().err)
+    assert re.search(r"1 pairs of geoms overlap, 'a' and 'b' by 0\.04 m: .* displaced twice", capsys.readouterr().err)
 
 
 def test_distances_to_the_faces_are_stated_in_diameters():

@@ -281,17 +281,20 @@ class Scene:
         every = int(whole_numbers("scene: every", every, low=1))
         steps = max(1, round(float(numbers("scene: seconds", seconds, low=1e-300)) / self.lattice.dt / every))
         self.coupled.take_wrench(1.0)  # of steps outside this record
-        depth = self.lattice.dx if self.flat else 1.0
-        with console.Progress(steps * every, "scene", unit="steps") as bar:
-            for n in range(steps):
-                for _ in range(every):
-                    self.step()
-                _, wrench = self.coupled.take_wrench(every * self.lattice.dt)
-                self._times.append(self.time)
-                self._wrenches.append(wrench / depth)
+        self._record(every)  # compiles, and would spoil the first estimates of the time left
+        with console.Progress((steps - 1) * every, "scene", unit="steps") as bar:
+            for n in range(1, steps):
+                self._record(every)
                 if bar.elapsed > QUIET:
-                    bar.update((n + 1) * every)
+                    bar.update(n * every)
         return self.forces
+
+    def _record(self, every: int) -> None:
+        for _ in range(every):
+            self.step()
+        _, wrench = self.coupled.take_wrench(every * self.lattice.dt)
+        self._times.append(self.time)
+        self._wrenches.append(wrench / (self.lattice.dx if self.flat else 1.0))
 
     @property
     def time(self) -> float:

@@ -6,6 +6,7 @@ Bodies without joints hang on the first of them, which has one slide that is hel
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import mujoco
@@ -176,17 +177,18 @@ def _held(model: mujoco.MjModel) -> mujoco.MjModel:
 
 def _warn_of_overlaps(body: ImmersedBody, dx: float) -> None:
     """Warns of shown geoms whose convex hulls overlap by more than a cell: their water is displaced twice."""
-    model, data = body.model, body.data
+    model, data, found = body.model, body.data, []
     shown = [int(geom) for geom in np.flatnonzero((model.geom_group < SHOWN) & (model.geom_bodyid > 0))]
-    for i, one in enumerate(shown):
-        for other in shown[i + 1 :]:
-            deep = -mujoco.mj_geomDistance(model, data, one, other, dx, None)
-            if deep > dx:
-                names = [model.geom(geom).name or str(geom) for geom in (one, other)]
-                console.warn(
-                    f"scene: geoms {names[0]!r} and {names[1]!r} overlap by {deep:.3g} m: where they do, their water is displaced"
-                    " twice, in the force on an accelerating body and in the weight of a free one. Let them touch only"
-                )
+    for one, other in combinations(shown, 2):
+        deep = -mujoco.mj_geomDistance(model, data, one, other, dx, None)
+        if deep > dx:
+            found.append((deep, *(model.geom(geom).name or str(geom) for geom in (one, other))))
+    if found:
+        deep, one, other = max(found)
+        console.warn(
+            f"scene: {len(found)} pairs of geoms overlap, {one!r} and {other!r} by {deep:.3g} m: where they do, their water is"
+            " displaced twice, in the force on an accelerating body and in the weight of a free one. Let them touch only"
+        )
 
 
 def _begin(body: ImmersedBody, drives: Sequence[tuple[slice, MotionFunction]]) -> None:
