@@ -3,9 +3,8 @@
     python examples/cylinder.py
     python examples/cylinder.py --diameter 0.02 --re 60 --study --out runs/cylinder
 
-The default is Re 100 in water, where the literature has C_D = 1.33 to 1.36 without walls near by. `--study` computes the drag on
-three grids and prints the observed order and the uncertainty. A picture of the vorticity and a CSV of the forces are written for
-each grid, cylinder_10.png and cylinder_10.csv. The first run also compiles kernels. Everything is synthetic.
+The literature has C_D = 1.33 to 1.36 at Re 100 without walls near by. `--study` takes three grids in place of one and prints the
+observed order and the uncertainty. For each, cylinder_CELLS.png has the vorticity, .csv the forces. Everything is synthetic.
 """
 
 import argparse
@@ -22,16 +21,15 @@ speed = parser.add_mutually_exclusive_group()
 speed.add_argument("--speed", type=float, help="of the stream, m/s (default: that of Re 100)")
 speed.add_argument("--re", type=float, default=100.0, help="Reynolds number, in place of the speed (default 100)")
 parser.add_argument("--cells", type=float, default=10.0, help="across the diameter (default 10)")
-parser.add_argument("--study", action="store_true", help="0.7, 1 and 1.4 times as many cells")
-box = "length, breadth and distance of the inlet, diameters (default 24 20 8)"
-parser.add_argument("--box", type=float, nargs=3, default=(24.0, 20.0, 8.0), metavar=("L", "B", "INLET"), help=box)
+parser.add_argument("--study", action="store_true", help="with 0.7, 1 and 1.4 times as many cells")
+parser.add_argument("--box", type=float, nargs=3, default=(24, 20, 8), metavar=("L", "W", "INLET"), help="diameters (24 20 8)")
 parser.add_argument("--times", type=float, default=60.0, help="diameters of water that pass (default 60)")
 parser.add_argument("--out", type=Path, default=Path("."), metavar="FOLDER", help="of pictures and forces (default: here)")
 parser.add_argument("--device", default="cpu", help="cpu or cuda (default cpu)")
 args = parser.parse_args()
 d, nu = args.diameter, 1e-6  # m, m2/s
-u = args.speed or args.re * nu / d
-turn = d / u  # s in which a diameter of water passes
+turn = d / (u := args.speed or args.re * nu / d)  # s in which a diameter of water passes
+args.out.mkdir(parents=True, exist_ok=True)
 
 
 def kick(t: float) -> tuple[float]:
@@ -41,24 +39,21 @@ def kick(t: float) -> tuple[float]:
 
 def drag(dx: float) -> float:
     """Mean C_D over the last three tenths of the run."""
-    length, breadth, inlet = args.box
-    scene = Scene(box=(length * d, breadth * d), dx=dx, nu=nu, stream=u, device=args.device)
-    scene.add(cylinder(d), at=(inlet * d, breadth / 2 * d), joints=("slide y",), motion=kick)
+    long, wide, inlet = np.multiply(args.box, d)
+    scene = Scene(box=(long, wide), dx=dx, nu=nu, stream=u, device=args.device)
+    scene.add(cylinder(d), at=(inlet, wide / 2), joints=("slide y",), motion=kick)
     record, last = scene.run(args.times * turn), 0.3 * args.times * turn
-    print(scene)
-    name = args.out / f"cylinder_{d / dx:.3g}"
-    scene.plot(f"{name}.png")
-    record.write(f"{name}.csv")
+    scene.plot(args.out / f"cylinder_{d / dx:.3g}.png")
+    record.write(args.out / f"cylinder_{d / dx:.3g}.csv")
     found, lift = scene.drag_coefficient(last), scene.coefficients()[record.times > record.times[-1] - last, 1]
     try:
-        shedding = f"St = {scene.strouhal(args.times * turn / 2):.3f}"  # of the last half: three periods and more
+        shedding = f"St = {scene.strouhal(args.times * turn / 2):.3f}"
     except ConfigError as error:  # too short, or steady
         shedding = f"no St ({error})"
-    print(f"C_D = {found:.2f}, C_L' = {lift.std():.3f} (r.m.s.), {shedding}", flush=True)
+    print(scene, f"C_D = {found:.2f}, C_L' = {lift.std():.3f} (r.m.s.), {shedding}", sep="\n", flush=True)
     return found
 
 
-args.out.mkdir(parents=True, exist_ok=True)
 if args.study:
     print(grid_study(drag, [d / (share * args.cells) for share in (0.7, 1.0, 1.4)]))
 else:

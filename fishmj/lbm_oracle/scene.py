@@ -304,7 +304,8 @@ class Scene:
     @property
     def forces(self) -> ForceRecord:
         """All that was recorded: times (T,) s and wrenches (T, L, 6); links are the shapes, held ones first, each as added."""
-        return ForceRecord(np.array(self._times), np.array(self._wrenches).reshape(len(self._times), -1, 6))
+        shape = len(self._times), self._bodies().body.links, 6
+        return ForceRecord(np.array(self._times), np.array(self._wrenches).reshape(shape))
 
     def coefficients(self, area: float | None = None, link: int = 0) -> np.ndarray:
         """Force of one link over rho U^2 A / 2, (T, 3).

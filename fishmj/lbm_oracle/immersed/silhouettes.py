@@ -36,8 +36,8 @@ def frontal_area(surfaces: Sequence[Surface]) -> float:
 
 def thinnest(points: np.ndarray) -> float:
     """Least distance, m, of two parallel lines in the plane of y and z between which all points (V, 3) lie."""
-    turn = np.pi * np.arange(ANGLES) / ANGLES
-    return float(np.ptp(points[:, 1:] @ np.stack([np.cos(turn), np.sin(turn)]), 0).min())
+    turns = np.pi * np.arange(ANGLES) / ANGLES
+    return min(float(np.ptp(points[:, 1:] @ [np.cos(turn), np.sin(turn)])) for turn in turns)
 
 
 def outlines(surface: Surface) -> list[np.ndarray]:
@@ -45,7 +45,7 @@ def outlines(surface: Surface) -> list[np.ndarray]:
     vertices, faces = surface
     if faces.shape[1] == 2:
         return [vertices[:, :2]]
-    from contourpy import FillType, contour_generator
+    from contourpy import FillType, contour_generator  # of Matplotlib
 
     points = vertices[:, :2][faces]
     low, high = points.min((0, 1)), points.max((0, 1))

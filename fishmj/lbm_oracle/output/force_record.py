@@ -33,7 +33,7 @@ class ForceRecord(NamedTuple):
         """Writes a CSV: t, then fx0, fy0, fz0, mx0, my0, mz0 of link 0 and so on, in SI units. Raises OSError."""
         links = self.wrench.shape[1]
         head = ",".join(["t", *(f"{name}{link}" for link in range(links) for name in COLUMNS)])
-        rows = np.column_stack([self.times, self.wrench.reshape(len(self.times), -1)])
+        rows = np.column_stack([self.times, self.wrench.reshape(len(self.times), 6 * links)])
         return write_text(path, "\n".join([head, *(",".join(f"{value:.8g}" for value in row) for row in rows)]) + "\n")
 
 
