@@ -2,8 +2,8 @@
 
     python examples/own_mjcf.py
 
-The model's geoms are its surface. Its frame is that of the box: (0, 0, 0) is the low corner. Replace the text by your own model,
-or by `mujoco.MjModel.from_xml_path("FILE.xml")`. Without `motion` it moves freely, under its actuators. Everything is synthetic.
+The model's geoms are its surface. Its frame is that of the box: (0, 0, 0) is the low corner. Replace the text by your model, or
+by `mujoco.MjModel.from_xml_path("FILE.xml")`. Without `motion` it is free, without joints held. Everything is synthetic.
 """
 
 import mujoco

@@ -88,7 +88,7 @@ def fin(phase: float, psi: float, place: np.ndarray) -> np.ndarray:
 def test_the_fin_rolls_and_pitches_as_in_the_source(psi):
     lag, hinge, steps = np.radians(psi), np.array([7.2, 7.7, 6.6]), 90
     markers = rolling_fin.fin_markers(5)
-    shape = BodyShape(name="fin", markers=lambda dx: markers, size=6.0, area=1.0, front=1.0)
+    shape = BodyShape(name="fin", markers=lambda dx: markers, size=6.0, area=1.0)
     box = Scene((16.0, 16.0, 20.0), 1.0, 0.01, rho=1.0, dt=1.0, sides="periodic")
     path = lambda step: rolling_fin.angles(step / steps, lag)
     driven = box.add(shape, hinge + 0.5, joints=("hinge x", "hinge z"), motion=path)

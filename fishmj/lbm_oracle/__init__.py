@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fishmj.lbm_oracle.grid_studies.grid_study import grid_study
-    from fishmj.lbm_oracle.scene import Scene, cylinder, mesh, plate, sphere
+    from fishmj.lbm_oracle.scene import Scene, cylinder, mesh, plate, section, sphere
 
-__all__ = ["Scene", "cylinder", "grid_study", "mesh", "plate", "sphere"]
+__all__ = ["Scene", "cylinder", "grid_study", "mesh", "plate", "section", "sphere"]
 
 
 def __getattr__(name: str) -> Any:
@@ -25,3 +25,8 @@ def __getattr__(name: str) -> Any:
     from fishmj.lbm_oracle import scene
 
     return getattr(scene, name)
+
+
+def __dir__() -> list[str]:
+    """Names that a session shows."""
+    return sorted({*globals(), *__all__})

@@ -16,11 +16,9 @@ time, or is free:
 All walls of bodies are without slip. docs/solver/your_own_body.md has the measured accuracy.
 """
 
-import copy
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -29,60 +27,27 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked_kind, checked_name, shown_value
 from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY
+from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.guard import check_speed, check_tau, numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
+from fishmj.lbm_oracle.immersed import scene_bodies
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import Markers
-from fishmj.lbm_oracle.immersed.shapes import (
-    BodyShape,
-    cylinder,
-    frontal_area,
-    link_surfaces,
-    mesh,
-    plate,
-    solid_moments,
-    sphere,
-    surface_markers,
-)
+from fishmj.lbm_oracle.immersed.scene_bodies import JOINTS, MotionFunction, Numbers, PlacedBody, SceneBodies, position
+from fishmj.lbm_oracle.immersed.shapes import BodyShape, cylinder, mesh, plate, section, sphere
+from fishmj.lbm_oracle.immersed.silhouettes import outlines
 from fishmj.lbm_oracle.immersed.strip import coupled_in
+from fishmj.lbm_oracle.output.force_record import ForceRecord, frequency, settled_mean, window
 from fishmj.lbm_oracle.output.slices import Slice
-from fishmj.mjcf import passive_slot
 from fishmj.water.flow import Flow
 
-__all__ = ["Scene", "cylinder", "mesh", "plate", "sphere"]
+__all__ = ["Scene", "cylinder", "mesh", "plate", "section", "sphere"]
 
 SIDES = ("slip", "wall", "open", "periodic")
 COURANT, THICKEST = 0.05, 0.1  # cells a step of the stream: Mach 0.09; greatest viscosity in lattice units
 FEWEST, CLEAR = 6, 4  # cells across a body; between a body and a face
 QUIET = 5.0  # s of work before a progress line
-JOINTS = {"slide": mujoco.mjtJoint.mjJNT_SLIDE, "hinge": mujoco.mjtJoint.mjJNT_HINGE}
-
-Numbers = Sequence[float] | np.ndarray
-MotionFunction = Callable[[float], Numbers | float]
-
-
-@dataclass(frozen=True)
-class PlacedBody:
-    """A shape with its place, joints, motion and density (0: weightless and driven)."""
-
-    shape: BodyShape
-    at: np.ndarray
-    joints: tuple[str, ...]
-    motion: MotionFunction | None
-    density: float
-
-
-class ForceRecord(NamedTuple):
-    """Means over intervals ending at `times` (T,) s: wrenches (T, L, 6) N and N m on each link, of a flat flow per metre of span.
-
-    World frame, moments about the link's origin; on a hull without water inside, and without its buoyancy.
-    """
-
-    times: np.ndarray
-    wrench: np.ndarray
 
 
 class Scene:
@@ -91,7 +56,7 @@ class Scene:
     Args:
         box: lengths m, (x, y, z), or (x, y) for a flow in the plane; rounded to whole cells. dx: cell, m.
         nu: kinematic viscosity, m2/s. stream: speed along x, m/s; 0: water at rest. rho: density, kg/m3.
-        dt: time step, s; by default the stream moves 0.05 cells in it, less at a low Reynolds number.
+        dt: time step, s; by default that in which the stream moves 0.05 cells (Mach 0.09), or 0.1 dx^2 / nu if that is less.
         sides: kind of the side faces: slip, wall, open (above and below: slip) or periodic; of all faces without a stream.
         sponge: cells behind each open face in which waves are damped; half a body's size, at least 8, by default.
         subgrid: eddy viscosity, "wale", for flows that the cells do not resolve; "none".
@@ -135,8 +100,9 @@ class Scene:
             whole_numbers("scene: sponge", sponge, low=0)
         self.gravity = numbers("scene: gravity", gravity, (3,))
         self.stream, self.subgrid, self.sides, self.device = stream, subgrid, sides, device
-        self._sponge, self._placed, self._order = sponge, list[PlacedBody](), list[PlacedBody]()
-        self._model: tuple[mujoco.MjModel, MotionFunction | None, list] | None = None
+        device_of("cpu")  # Warp starts without its banner
+        self._sponge, self._placed, self._holds_model = sponge, list[PlacedBody](), False
+        self._made: SceneBodies | None = None
         self._coupled: FluidStructure | None = None
         self._times: list[float] = []
         self._wrenches: list[np.ndarray] = []
@@ -153,8 +119,8 @@ class Scene:
         """Adds a body before the first step; returns the scene.
 
         Args:
-            body: sphere(..), cylinder(..), plate(..), mesh(..); or a MuJoCo model, alone, in its own frame, whose geoms of the
-                groups 0 to 2 are its surface. Overlapping geoms displace their water twice.
+            body: sphere(..), cylinder(..), section(..), plate(..), mesh(..); or a MuJoCo model, alone, in its own frame, whose
+                geoms of the groups 0 to 2 are its surface. Without joints it is held. Geoms that overlap displace water twice.
             at: place of the shape's origin, m, as many numbers as the box has.
             joints: "slide x", "hinge z", .., the outermost first, or "free"; none: the body is held.
             motion: function of the time in s to the positions of all joints, m and rad; without it a body with joints is free.
@@ -170,7 +136,7 @@ class Scene:
         if isinstance(body, mujoco.MjModel):
             return self._add_model(body, motion, at is None and not joints and density is None)
         shape = checked_kind("scene: body", body, BodyShape, needed=True)
-        if self._model is not None:
+        if self._holds_model:
             raise ConfigError("scene: a shape beside a MuJoCo model; a model holds all bodies: add the shape to it as a geom")
         if shape.flat != self.flat:
             wanted = "two lengths, box=(x, y)" if shape.flat else "three lengths, box=(x, y, z)"
@@ -193,7 +159,8 @@ class Scene:
                 f"scene: {shape.size / self.lattice.dx:.1f} cells across the {shape.name}; expected {FEWEST} at least: dx ="
                 f" {shape.size / FEWEST:.3g} m or less"
             )
-        start = np.zeros(3) if motion is None else _shifted(joints, _position(motion, 0.0, len(joints)))
+        self._warn_if_thin(shape.name, shape.width or shape.size)
+        start = np.zeros(3) if motion is None else _shifted(joints, position(motion, 0.0, len(joints)))
         markers = shape.markers(self.lattice.dx)
         if markers.law_height is not None:
             raise ConfigError(
@@ -202,6 +169,7 @@ class Scene:
             )
         self._check_place(shape.name, markers.rest + place + start, self._sponge_for(shape.size))
         self._placed.append(one)
+        self._made = None
         return self
 
     def _add_model(self, model: mujoco.MjModel, motion: MotionFunction | None, plain: bool) -> "Scene":
@@ -209,7 +177,7 @@ class Scene:
             raise ConfigError(
                 "scene: a MuJoCo model with at, joints or density; its place, joints and masses are those of the model"
             )
-        if self._model is not None or self._placed:
+        if self._holds_model or self._placed:
             raise ConfigError("scene: a MuJoCo model beside other bodies; expected one model that holds all of them")
         if self.flat:
             raise ConfigError("scene: a MuJoCo model in a box of two lengths; expected box=(x, y, z)")
@@ -217,8 +185,33 @@ class Scene:
             raise ConfigError("scene: gravity beside a MuJoCo model, which has its own; set it there: <option gravity=..>")
         if motion is not None and model.nq != model.nv:
             raise ConfigError("scene: the motion of a model with a free or ball joint; expected hinges and slides only")
-        self._model = model, motion, link_surfaces(model)
+        if motion is not None and not model.nv:
+            raise ConfigError("scene: the motion of a model without joints, which is held; give the model joints, or no motion")
+        made = scene_bodies.of_model(model, motion, self.lattice)
+        self._check_place("the model", made.marker_places(), self._sponge_for(made.size))
+        if made.size < FEWEST * self.lattice.dx:
+            raise ConfigError(
+                f"scene: {made.size / self.lattice.dx:.1f} cells along the model; expected {FEWEST} at least: dx ="
+                f" {made.size / FEWEST:.3g} m or less"
+            )
+        self._warn_if_thin("a geom of the model", made.width)
+        self._holds_model, self._made = True, made
         return self
+
+    def _warn_if_thin(self, name: str, width: float) -> None:
+        if width < FEWEST * self.lattice.dx * (1 - 1e-9):
+            console.warn(
+                f"scene: {width / self.lattice.dx:.1f} cells across {name} where it is thinnest to the stream; {FEWEST} or more"
+                f" give a force to trust: dx = {width / FEWEST:.3g} m or less"
+            )
+
+    def _bodies(self) -> SceneBodies:
+        if self._made is None:
+            if not self._placed:
+                raise ConfigError("scene: no body; add one: scene.add(sphere(0.02), at=(0.1, 0.1, 0.1))")
+            order = sorted(self._placed, key=lambda one: bool(one.joints))  # stable
+            self._made = scene_bodies.of_shapes(order, self.gravity, self.lattice, self.flat)
+        return self._made
 
     def _check_place(self, name: str, points: np.ndarray, sponge: int) -> None:
         """Raises ConfigError for markers (N, 3) m outside the box, or too near to a face that is not periodic."""
@@ -258,87 +251,14 @@ class Scene:
         return self._coupled
 
     def _couple(self) -> FluidStructure:
-        if self._model is None and not self._placed:
-            raise ConfigError("scene: no body; add one: scene.add(sphere(0.02), at=(0.1, 0.1, 0.1))")
-        body, markers = self._of_shapes() if self._model is None else self._of_model(*self._model)
-        sponge = self._sponge_for(self._size())
-        options: dict[str, Any] = {"subgrid": self.subgrid, "boundaries": self._faces(sponge), "flow": Flow(speed=self.stream)}
-        coupled = coupled_in(Fluid(self.lattice, self.shape, self.device, **options), body, markers)
-        if self._model is not None:
-            self._check_place("the model", np.array(body.bounds(coupled.boundary.corners)), sponge)
-        return coupled
-
-    def _of_shapes(self) -> tuple[ImmersedBody, Markers]:
-        """One MuJoCo body a shape: all held ones hang on the first of them, so that they have one degree of freedom."""
-        spec = mujoco.MjSpec()
-        spec.option.integrator, spec.option.gravity = mujoco.mjtIntegrator.mjINT_EULER, self.gravity
-        spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        depth, frame, origin = self.lattice.dx if self.flat else 1.0, None, np.zeros(3)
-        order = sorted(self._placed, key=lambda one: bool(one.joints))  # stable: held ones first, as MuJoCo numbers their tree
-        for i, one in enumerate(order):
-            held = not one.joints
-            parent = frame if held and frame is not None else spec.worldbody
-            link = parent.add_body(name=f"body {i}", pos=one.at - (origin if parent is frame else 0.0))
-            mass = one.density * one.shape.volume * depth
-            inertia = one.shape.inertia * (one.density * depth) if mass else np.eye(3)
-            link.mass, link.ipos, link.explicitinertial = mass or 1.0, one.shape.centre, True
-            link.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-            for name in one.joints or (("slide x",) if frame is None else ()):
-                if name == "free":
-                    link.add_freejoint()
-                else:
-                    kind, axis = name.split()
-                    link.add_joint(name=f"{name} {i}", type=JOINTS[kind], axis=np.eye(3)["xyz".index(axis)])
-            if held and frame is None:
-                frame, origin = link, one.at
-        self._order = order
-        water = DisplacedWater(
-            mass=np.array([one.shape.volume for one in order]) * self.lattice.rho * depth,
-            centre=np.array([one.shape.centre for one in order]),
-            inertia=np.array([one.shape.inertia for one in order]) * self.lattice.rho * depth,
-        )
-        body = ImmersedBody(passive_slot.compiled(spec), water, self.lattice.dt)
-        ends = np.cumsum(body.model.body_dofnum[1:])
-        self._drives = [
-            (slice(int(end - count), int(end)), one.motion or _at_rest)
-            for one, end, count in zip(order, ends, body.model.body_dofnum[1:], strict=True)
-            if count and not one.density
-        ]
-        self._start(body)
-        return body, _joined([one.shape.markers(self.lattice.dx) for one in order], range(len(order)))
-
-    def _of_model(self, model: mujoco.MjModel, motion: MotionFunction | None, surfaces: list) -> tuple[ImmersedBody, Markers]:
-        parts, links, masses = [], [], []
-        for link, geoms in enumerate(surfaces):
-            moments = [solid_moments(vertices, faces) for _, vertices, faces in geoms]
-            total = sum(volume for volume, _, _ in moments)
-            middle = sum((volume * place for volume, place, _ in moments), np.zeros(3)) / (total or 1.0)
-            inertia = np.zeros((3, 3))
-            for volume, place, about in moments:
-                arm = place - middle
-                inertia += about + volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            masses.append((total, middle, inertia))
-            parts += [surface_markers(name, vertices, faces, self.lattice.dx) for name, vertices, faces in geoms]
-            links += [link] * len(geoms)
-        volumes, centres, inertias = (np.array(column) for column in zip(*masses, strict=True))
-        water = DisplacedWater(mass=self.lattice.rho * volumes, centre=centres, inertia=self.lattice.rho * inertias)
-        body = ImmersedBody(copy.copy(model), water, self.lattice.dt)
-        self._drives = [] if motion is None else [(slice(0, model.nv), motion)]
-        self._start(body)
-        return body, _joined(parts, links)
-
-    def _start(self, body: ImmersedBody) -> None:
-        """Places the body where its motions begin."""
-        self._fixed, self._position = np.zeros(body.dofs), np.zeros(body.dofs)
-        qpos, qvel = body.data.qpos.copy(), np.zeros(body.dofs)
-        for part, motion in self._drives:
+        made = self._bodies()
+        faces = self._faces(self._sponge_for(made.size))
+        options: dict[str, Any] = {"subgrid": self.subgrid, "boundaries": faces, "flow": Flow(speed=self.stream)}
+        self._fixed, self._position = np.zeros(made.body.dofs), np.zeros(made.body.dofs)
+        for part, motion in made.drives:
             self._fixed[part] = 1.0
-            self._position[part] = _position(motion, 0.0, part.stop - part.start)
-            ahead = _position(motion, body.dt, part.stop - part.start)
-            qvel[part] = (ahead - self._position[part]) / body.dt
-            joints = [int(j) for j in np.unique(body.model.dof_jntid[part])]
-            qpos[body.model.jnt_qposadr[joints]] = self._position[part]
-        body.place(qpos, qvel)
+            self._position[part] = position(motion, 0.0, part.stop - part.start)
+        return coupled_in(Fluid(self.lattice, self.shape, self.device, **options), made.body, made.markers)
 
     def step(self) -> None:
         """Does one time step.
@@ -348,8 +268,8 @@ class Scene:
         """
         coupled = self.coupled
         ahead = self._position.copy()
-        for part, motion in self._drives:
-            ahead[part] = _position(motion, (coupled.steps + 1) * self.lattice.dt, part.stop - part.start)
+        for part, motion in self._bodies().drives:
+            ahead[part] = position(motion, (coupled.steps + 1) * self.lattice.dt, part.stop - part.start)
         coupled.step(self._fixed, (ahead - self._position) / self.lattice.dt)
         self._position = ahead
 
@@ -361,17 +281,20 @@ class Scene:
         every = int(whole_numbers("scene: every", every, low=1))
         steps = max(1, round(float(numbers("scene: seconds", seconds, low=1e-300)) / self.lattice.dt / every))
         self.coupled.take_wrench(1.0)  # of steps outside this record
-        depth = self.lattice.dx if self.flat else 1.0
-        with console.Progress(steps, "scene", unit="records") as bar:
-            for n in range(steps):
-                for _ in range(every):
-                    self.step()
-                _, wrench = self.coupled.take_wrench(every * self.lattice.dt)
-                self._times.append(self.time)
-                self._wrenches.append(wrench / depth)
+        self._record(every)  # compiles, and would spoil the first estimates of the time left
+        with console.Progress((steps - 1) * every, "scene", unit="steps") as bar:
+            for n in range(1, steps):
+                self._record(every)
                 if bar.elapsed > QUIET:
-                    bar.update(n + 1)
+                    bar.update(n * every)
         return self.forces
+
+    def _record(self, every: int) -> None:
+        for _ in range(every):
+            self.step()
+        _, wrench = self.coupled.take_wrench(every * self.lattice.dt)
+        self._times.append(self.time)
+        self._wrenches.append(wrench / (self.lattice.dx if self.flat else 1.0))
 
     @property
     def time(self) -> float:
@@ -381,30 +304,45 @@ class Scene:
     @property
     def forces(self) -> ForceRecord:
         """All that was recorded: times (T,) s and wrenches (T, L, 6); links are the shapes, held ones first, each as added."""
-        return ForceRecord(np.array(self._times), np.array(self._wrenches).reshape(len(self._times), -1, 6))
+        shape = len(self._times), self._bodies().body.links, 6
+        return ForceRecord(np.array(self._times), np.array(self._wrenches).reshape(shape))
 
     def coefficients(self, area: float | None = None, link: int = 0) -> np.ndarray:
-        """Force of one link over rho U^2 A / 2, (T, 3); A is the shape's own, of a model its frontal area.
+        """Force of one link over rho U^2 A / 2, (T, 3).
+
+        A: a plate's chord x span; of all others the frontal area, of a model's link that of the union of its geoms at the start.
 
         Raises:
-            ConfigError: no stream, nothing recorded, or no such link.
+            ConfigError: no stream, nothing recorded, no such link, or a link without a surface and no `area`.
         """
         if not self.stream or not self._times:
             raise ConfigError("scene: coefficients need a stream and a record; give stream=, and run(seconds) first")
         whole_numbers("scene: link", link, low=0, high=self.coupled.body.links - 1)
-        default = self._order[link].shape.area if self._model is None else _front(self._model[2][link])
-        area = default if area is None else float(numbers("scene: area", area, low=1e-300))
+        area = float(numbers("scene: area", self._bodies().areas[link] if area is None else area, low=1e-300))
         return self.forces.wrench[:, link, :3] / (0.5 * self.lattice.rho * self.stream**2 * area)
 
-    def drag_coefficient(self, seconds: float, link: int = 0) -> float:
-        """Mean C_D of the record's last `seconds`. Raises ConfigError as `coefficients`, and if the record is shorter."""
-        drag, times = self.coefficients(link=link)[:, 0], self.forces.times
-        if not 0 < float(numbers("scene: seconds of a mean", seconds)) <= times[-1]:
-            raise ConfigError(f"scene: a mean over {seconds} s of a record of {times[-1]:.4g} s; expected less, and more than 0")
-        return float(drag[times > times[-1] - seconds].mean())
+    def drag_coefficient(self, seconds: float, link: int = 0, area: float | None = None) -> float:
+        """Mean C_D of the record's last `seconds`; warns if the two halves of them differ by more than 1 %.
+
+        Raises ConfigError as `coefficients`, and if the record is shorter.
+        """
+        drag = self.coefficients(area, link)[:, 0]
+        last = window(self.forces.times, float(numbers("scene: seconds of a mean", seconds)))
+        return settled_mean("C_D", drag[last], seconds)
+
+    def strouhal(self, seconds: float, link: int = 0, length: float | None = None) -> float:
+        """Strouhal number f D / U of the force along y in the record's last `seconds`; D: `length` m, or that of Re.
+
+        Raises:
+            ConfigError: as `drag_coefficient`; no even swing, or fewer than three periods of it.
+        """
+        side = self.coefficients(link=link)[:, 1]
+        last = window(self.forces.times, float(numbers("scene: seconds of a Strouhal number", seconds)))
+        size = float(numbers("scene: length", self._bodies().size if length is None else length, low=1e-300))
+        return frequency(self.forces.times[last], side[last]) * size / self.stream
 
     def vorticity(self, z: float | None = None) -> Slice:
-        """Velocity and vorticity in the plane at height `z` m (None: the middle), as they are; `outline` is the bodies' markers.
+        """Velocity and vorticity in the plane at height `z` m (None: the middle); `outline`: the bodies seen from above.
 
         Raises:
             ConfigError: z lies outside the water.
@@ -414,10 +352,9 @@ class Scene:
         coupled, lattice = self.coupled, self.lattice
         with coupled.scope():
             plane = plane_of(coupled.fluid, z)
-            world = coupled.boundary.world.numpy()[:, :2]
         x, y = (lattice.corner[a] + lattice.dx * np.arange(self.shape[a]) for a in range(2))
         height = self.shape[2] * lattice.dx / 2 if z is None else z
-        lines = [_hull(world[coupled.boundary.markers.before == link]) for link in range(coupled.body.links)]
+        lines = [line for link in range(coupled.body.links) for one in self._bodies().placed(link) for line in outlines(one)]
         return Slice(self.time, height, x, y, plane[..., 0], plane[..., 1], plane[..., 2], lines)
 
     def plot(self, path: str | Path, strong: float | None = None) -> Path:
@@ -428,35 +365,32 @@ class Scene:
         strong = float(np.quantile(np.abs(found.omega_z), 0.99)) if strong is None else strong
         return SlicePicture(strong).write(Path(path), found)
 
-    def _size(self) -> float:
-        if self._model is None:
-            return max(one.shape.size for one in self._placed)
-        return max(float(np.ptp(vertices, 0).max()) for geoms in self._model[2] for _, vertices, _ in geoms)
+    @property
+    def frontal_area(self) -> float:
+        """Area of the union of all bodies where they begin, seen along the stream, m2; of a flat flow per metre of span, m."""
+        return self._bodies().front
 
     @property
     def blockage(self) -> float:
         """Frontal area of the bodies over the section of the box."""
-        section = float(np.prod(self.extent[1:]))
-        shapes = (one.shape.front for one in self._placed)
-        return sum(shapes if self._model is None else map(_front, self._model[2])) / section
+        return self.frontal_area / float(np.prod(self.extent[1:]))
 
     def __str__(self) -> str:
-        """Numbers that judge the grid, in one line."""
-        lattice, size = self.lattice, self._size() if self._placed or self._model else 0.0
+        """Numbers that judge the grid and the box, in two lines."""
+        lattice = self.lattice
+        grid = f"{' x '.join(map(str, self.shape))} cells of {lattice.dx:g} m, dt {lattice.dt:.4g} s"
+        wave = f"Mach {lattice.mach(self.stream):.2f}, tau {lattice.tau:.4f}"
+        if not (self._placed or self._holds_model):
+            return f"{grid}, {wave}, no body"
+        made = self._bodies()
+        low, high = (side(made.marker_places(), 0) for side in (np.min, np.max))
+        ahead, behind = (low + high)[0] / 2 / made.size, (self.extent[0] - (low + high)[0] / 2) / made.size
+        wide = " x ".join(f"{length / made.size:.3g}" for length in self.extent[1:])
         return (
-            f"{' x '.join(map(str, self.shape))} cells of {lattice.dx:g} m, {size / lattice.dx:.3g} across a body, dt"
-            f" {lattice.dt:.4g} s, Re {self.stream * size / lattice.nu:.4g}, Mach {lattice.mach(self.stream):.2f}, tau"
-            f" {lattice.tau:.4f}, blockage {100 * self.blockage:.2g} %"
+            f"{grid}, {round(made.width / lattice.dx, 1):g} across the body, Re {self.stream * made.size / lattice.nu:.4g} on D ="
+            f" {1e3 * made.size:.4g} mm, {wave}\n{ahead:.3g} D to the inlet, {behind:.3g} D behind, {wide} D wide, frontal area"
+            f" {self.frontal_area:.4g} {'m' if self.flat else 'm2'}, blockage {100 * self.blockage:.2g} %"
         )
-
-
-def _at_rest(time: float) -> tuple[float, ...]:
-    return (0.0,)
-
-
-def _position(motion: MotionFunction, time: float, count: int) -> np.ndarray:
-    """Positions (count,) of a motion. Raises ConfigError for others than `count` finite numbers."""
-    return numbers(f"scene: motion at t = {time:.4g} s", np.atleast_1d(motion(time)), (count,))
 
 
 def _shifted(joints: tuple[str, ...], position: np.ndarray) -> np.ndarray:
@@ -474,27 +408,3 @@ def _checked_joints(joints: Sequence[str], flat: bool) -> tuple[str, ...]:
     if isinstance(joints, str) or any(name not in known for name in joints) or ("free" in joints and len(joints) > 1):
         raise ConfigError(f"scene: joints = {shown_value(joints)}; expected a tuple of some of {', '.join(known)}; free alone")
     return tuple(joints)
-
-
-def _joined(parts: Sequence[Markers], links: Sequence[int]) -> Markers:
-    """Markers of several rigid links as one."""
-    join = lambda name: np.concatenate([getattr(part, name) for part in parts])
-    index = np.concatenate([np.full(len(part), link) for part, link in zip(parts, links, strict=True)])
-    names = ("rest", "normal", "area", "pivot", "share", "sheet", "slip_length", "layer")
-    plain: dict[str, Any] = {name: join(name) for name in names}
-    return Markers(**plain, before=index, after=index)
-
-
-def _front(geoms: list) -> float:
-    return sum(frontal_area(vertices, faces) for _, vertices, faces in geoms)
-
-
-def _hull(points: np.ndarray) -> np.ndarray:
-    """Convex hull (P, 2) of points seen from above; two ends if they lie in a line."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        along = points @ (points[-1] - points[0]) if len(points) else np.zeros(0)
-        return points[[int(np.argmin(along)), int(np.argmax(along))]] if len(points) else points

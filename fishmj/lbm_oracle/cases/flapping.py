@@ -105,7 +105,6 @@ def ellipse(cells: int) -> BodyShape:
     options: dict[str, Any] = {
         "size": cells,
         "area": cells,
-        "front": THICKNESS * cells,
         "volume": volume,
         "inertia": inertia,
         "flat": True,

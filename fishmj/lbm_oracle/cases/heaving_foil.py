@@ -52,7 +52,7 @@ def thickness(s) -> np.ndarray:
 def foil(cells: int) -> BodyShape:
     """The foil of `cells` cells a chord, nose towards -x, its pivot at the origin."""
     markers = section_markers(-PIVOT * cells, (1 - PIVOT) * cells, lambda x: cells * thickness(x / cells + PIVOT))
-    return BodyShape(name="foil", markers=lambda dx: markers, size=cells, area=cells, front=0.12 * cells, flat=True)
+    return BodyShape(name="foil", markers=lambda dx: markers, size=cells, area=cells, flat=True)
 
 
 def motion(phase, strouhal: float) -> np.ndarray:

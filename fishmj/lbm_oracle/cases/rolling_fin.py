@@ -123,7 +123,7 @@ def flap(
     driven = Scene(np.multiply(box, cells), 1.0, stream * cells / REYNOLDS, stream, rho=1.0, dt=1.0, **options)
     hinge = np.multiply(driven.extent, [0.35, 0.5, 0.5]) - [0.0, 0.0, SPAN * cells / 2] + [0.7, 0.2, 0.1]  # off the nodes
     area, make = AREA * cells**2, lambda dx: fin_markers(cells, sharpness)
-    fin = BodyShape(name="fin", markers=make, size=cells, area=area, front=area)
+    fin = BodyShape(name="fin", markers=make, size=cells, area=area)
     driven.add(fin, hinge, joints=("hinge x", "hinge z"), motion=lambda step: angles(step / steps, lag))
     wrench = driven.run(cycles * steps, every).wrench[:, 0].reshape(cycles, samples, 6)
     middle = every * (np.arange(samples) + 0.5) // 1

@@ -4,6 +4,7 @@
     f0 = f1 + (f1 - f2) / (r21^p - 1)                                                                      dx -> 0
     U = 1.25 |f1 - f0|          a monotonic series with 0.5 <= p <= 2.5: grid convergence index of the finest grid
     U = 3 (greatest - least)    any other series: no order, no limit
+    none                        a monotonic series with p <= 0: its differences grow, an estimate from them would mean nothing
 
 Sources: Celik et al. 2008, J. Fluids Eng. 130:078001 (index and its factor for three grids); Eca and Hoekstra 2014, J. Comput.
 Phys. 262:104 (the range where no order fits, and that an order far from the scheme's is not believed). Neither was read here.
@@ -26,7 +27,7 @@ LEAST_RATIO = 1.1
 
 
 class GridStudy(NamedTuple):
-    """Three grids, the finest last. `order`, `limit`: NaN where the series has none; `uncertainty`: of the finest value, +-."""
+    """Three grids, the finest last; `uncertainty`: of the finest value, +-. NaN stands for what the series does not tell."""
 
     dx: tuple[float, ...]
     values: tuple[float, ...]
@@ -38,6 +39,9 @@ class GridStudy(NamedTuple):
         """The table and the verdict, in lines."""
         rows = [f"dx = {dx:<10.4g} {value:.5g}" for dx, value in zip(self.dx, self.values, strict=True)]
         found = f"order {self.order:.2f}, limit {self.limit:.4g}" if self.order == self.order else "no order fits"
+        if self.uncertainty != self.uncertainty:
+            found = "the differences grow: not yet in the range where the error falls with the cell"
+            return "\n".join([*rows, f"{self.values[-1]:.4g}, no uncertainty ({found})"])
         return "\n".join([*rows, f"{self.values[-1]:.4g} +- {self.uncertainty:.2g} ({found})"])
 
 
@@ -54,7 +58,7 @@ def grid_study(function: Callable[[float], float], dx: Sequence[float]) -> GridS
         raise ConfigError(f"grid study: dx = {sizes.tolist()}; expected three cells, each {LEAST_RATIO} times the next or more")
     values = []
     work = np.cumsum(1 / sizes**3)  # cells times steps of a flow in the plane
-    with console.Progress(float(work[-1]), "grid study") as bar:
+    with console.Progress(float(work[-1]), "grid study", unit="cells^3") as bar:
         for i, size in enumerate(sizes):
             bar.stage(f"dx = {size:g}, {i + 1} of 3")
             values.append(float(numbers(f"grid study: value at dx = {size:g}", function(float(size)))))
@@ -68,6 +72,8 @@ def judged(dx: tuple[float, ...], values: tuple[float, ...]) -> GridStudy:
     spread = RANGE * (max(values) - min(values))
     if (f3 - f2) * (f2 - f1) <= 0:  # it oscillates, or stands still
         return GridStudy(dx, values, nan, nan, spread)
+    if log(h2 / h1) * abs(f3 - f2) <= log(h3 / h2) * abs(f2 - f1):  # no order above 0
+        return GridStudy(dx, values, nan, nan, nan)
     fits = lambda p: log((f3 - f2) / (f2 - f1)) - log((h3**p - h2**p) / (h2**p - h1**p))
     low, high = ORDERS
     if not fits(low) * fits(high) < 0:

@@ -1,10 +1,9 @@
-"""Shapes that a `Scene` puts into water: sphere, cylinder, plate, a closed mesh of triangles, and the geoms of a MuJoCo model.
+"""Shapes that a `Scene` puts into water: sphere, cylinder, section, plate, closed mesh of triangles, geoms of a MuJoCo model.
 
 A mesh becomes markers in three steps: its vertices are drawn in so that every face moves by the kernel's offset; random points
 fill the faces; Lloyd's iterations gather them into even patches of about one cell.
 
     V = sum_t a . (b x c) / 6,   int x dV and int x x^T dV alike      volume, centre and inertia from tetrahedra to the origin
-    A = 1/2 sum_t |A_x|                                               frontal area; of a body that is not convex an upper bound
 """
 
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from scipy.spatial import cKDTree
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.immersed.markers import FINS, Markers, Sharpness, offset_of, sphere_markers
+from fishmj.lbm_oracle.immersed.silhouettes import Surface, frontal_area, thinnest
 from fishmj.lbm_oracle.immersed.strip import circle_markers
 
 POINTS, ROUNDS = 25, 10  # random points a marker, Lloyd's iterations: patches even to 15 %
@@ -32,16 +32,18 @@ SHOWN = 3  # groups of geoms that MuJoCo draws by default: 0, 1, 2
 class BodyShape:
     """A rigid shape about its own origin.
 
-    markers: of cells of dx m. size: m, from which the Reynolds number and the cells across are counted. area: m2, of the
-    coefficients. front: m2, frontal area. volume: m3. centre: (3,) m. inertia: (3, 3) m5, moments of the volume about `centre`.
-    flat: a section in the plane z = 0, whose area, front and volume are those of one metre of span.
+    markers: of cells of dx m. size: m, of the Reynolds number. area: m2, of the coefficients. surface: for the frontal area and
+    the picture; without it there is none. width: m, the thinnest that the stream sees; 0: `size`. volume: m3. centre: (3,) m.
+    inertia: (3, 3) m5, moments of the volume about `centre`. flat: a section in the plane z = 0, whose area and volume are those
+    of one metre of span.
     """
 
     name: str
     markers: Callable[[float], Markers]
     size: float
     area: float
-    front: float
+    surface: Surface | None = None
+    width: float = 0.0
     volume: float = 0.0
     centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
@@ -53,8 +55,8 @@ def sphere(diameter: float) -> BodyShape:
     d = float(numbers("sphere: diameter", diameter, low=1e-300))
     volume, area = pi * d**3 / 6, pi * d**2 / 4
     inertia = np.eye(3) * 0.1 * volume * d**2
-    make = lambda dx: sphere_markers(d / 2, dx)
-    return BodyShape(name="sphere", markers=make, size=d, area=area, front=area, volume=volume, inertia=inertia)
+    make, surface = lambda dx: sphere_markers(d / 2, dx), _revolved(_arc() * d / 2)
+    return BodyShape(name="sphere", markers=make, size=d, area=area, surface=surface, volume=volume, inertia=inertia)
 
 
 def cylinder(diameter: float) -> BodyShape:
@@ -62,8 +64,108 @@ def cylinder(diameter: float) -> BodyShape:
     d = float(numbers("cylinder: diameter", diameter, low=1e-300))
     volume = pi * d**2 / 4
     inertia = np.diag([1.0, 1.0, 2.0]) * volume * d**2 / 16
-    make = lambda dx: circle_markers(d / 2, dx)
-    return BodyShape(name="cylinder", markers=make, size=d, area=d, front=d, volume=volume, inertia=inertia, flat=True)
+    turn = np.linspace(0, 2 * pi, 64, endpoint=False)
+    make, surface = lambda dx: circle_markers(d / 2, dx), _ring(np.stack([np.cos(turn), np.sin(turn)], -1) * d / 2)
+    options: dict[str, Any] = {"surface": surface, "volume": volume, "inertia": inertia, "flat": True}
+    return BodyShape(name="cylinder", markers=make, size=d, area=d, **options)
+
+
+def section(points: Any) -> BodyShape:
+    """A section of your own in the plane, for a box of two lengths: corners (P, 2) m of a closed polygon, either way round.
+
+    Its area, of the coefficients, is its extent across the stream; its size the longer side of the upright box round it.
+
+    Raises:
+        ConfigError: fewer than three corners, a line that crosses itself, or no area.
+    """
+    corners = numbers("section: points", points, (None, 2))
+    if len(corners) < 3:
+        raise ConfigError(f"section: {len(corners)} points; expected three or more corners of a closed polygon")
+    after = np.roll(corners, -1, 0)
+    corners = corners[(corners != after).any(1)]
+    turn = _turned(corners)
+    if turn < 0:
+        corners = corners[::-1]
+    if _crosses(corners) or not turn:
+        raise ConfigError("section: the polygon crosses itself, or has no area; expected its corners in order, each once")
+    volume, centre, inertia = _section_moments(corners)
+    x, y = np.ptp(corners, 0)
+    options: dict[str, Any] = {"volume": volume, "centre": centre, "inertia": inertia, "width": float(y), "flat": True}
+    make = lambda dx: polygon_markers(corners, dx)
+    return BodyShape(name="section", markers=make, size=float(max(x, y)), area=float(y), surface=_ring(corners), **options)
+
+
+def polygon_markers(corners: np.ndarray, dx: float) -> Markers:
+    """Markers of a polygon (P, 2) m about a cell apart, one cell deep, drawn in by the kernel's offset.
+
+    Raises:
+        ConfigError: the section is thinner than the offset on both sides.
+    """
+    inset = offset_of(3) * dx
+    along = np.roll(corners, -1, 0) - corners
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    after = np.stack([along[:, 1], -along[:, 0]], -1)  # outward, of the edge behind each corner
+    before = np.roll(after, 1, 0)
+    move = -inset * (before + after) / np.maximum(1 + np.sum(before * after, 1, keepdims=True), 1e-9)
+    far = np.linalg.norm(move, axis=1, keepdims=True)
+    drawn = corners + move * np.minimum(1.0, MOST_DRAWN * inset / np.maximum(far, 1e-300))
+    edges = np.roll(drawn, -1, 0) - drawn
+    length = np.linalg.norm(edges, axis=1)
+    count = max(4, round(length.sum() / dx))
+    at = (np.arange(count) + 0.5) / count * length.sum()
+    edge = np.minimum(np.searchsorted(np.cumsum(length), at), len(corners) - 1)
+    share = (at - (np.cumsum(length) - length)[edge]) / length[edge]
+    place = drawn[edge] + share[:, None] * edges[edge]
+    turned_back = np.sum(edges * along, 1) < 0
+    if _turned(drawn) <= 0 or np.mean(turned_back[edge] | ~_inside(place, corners)) > LOST:
+        raise ConfigError(
+            f"section: more than {100 * LOST:.0f} % of its line lies where it is thinner than the {2 * offset_of(3):.1f} cells by"
+            f" which both sides are drawn in at dx = {dx:g} m; take a smaller dx, or a plate(..) for a thin part"
+        )
+    lift = lambda values: np.append(values, np.zeros((count, 1)), 1)
+    return Markers.rigid(lift(place), lift(after[edge]), length.sum() / count * dx)
+
+
+def _ring(corners: np.ndarray) -> Surface:
+    """Surface of a section: its corners (P, 2) m, and its edges."""
+    n = len(corners)
+    return np.append(corners, np.zeros((n, 1)), 1), np.stack([np.arange(n), (np.arange(n) + 1) % n], -1)
+
+
+def _turned(corners: np.ndarray) -> float:
+    """Area of a polygon (P, 2), positive if it is counter-clockwise."""
+    after = np.roll(corners, -1, 0)
+    return float((corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]).sum() / 2)
+
+
+def _crosses(corners: np.ndarray) -> bool:
+    """Returns True if two edges of a polygon (P, 2) cross."""
+    side = lambda p, q, r: (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+    a, b = corners, np.roll(corners, -1, 0)
+    ends = side(a[:, None], b[:, None], a[None]) * side(a[:, None], b[:, None], b[None])
+    return bool(((ends < 0) & (ends.T < 0)).any())
+
+
+def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the points (N, 2) in a polygon (P, 2)."""
+    a, b = corners[None], np.roll(corners, -1, 0)[None]
+    x, y = points[:, :1], points[:, 1:]
+    over = (a[..., 1] > y) != (b[..., 1] > y)
+    rise = np.where(over, b[..., 1] - a[..., 1], 1.0)
+    return (over & (x < a[..., 0] + (y - a[..., 1]) / rise * (b[..., 0] - a[..., 0]))).sum(1) % 2 == 1
+
+
+def _section_moments(corners: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Area m2, centre (3,) m and moments (3, 3) m4 about it, of one metre of span without that along the span."""
+    after = np.roll(corners, -1, 0)
+    cross = corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]
+    area = float(cross.sum() / 2)
+    whole = corners + after
+    centre = (cross[:, None] * whole).sum(0) / (6 * area)
+    second = sum(np.einsum("p,pi,pj->ij", cross, q, q) for q in (corners, after, whole)) / 24 - area * np.outer(centre, centre)
+    full = np.zeros((3, 3))
+    full[:2, :2] = second
+    return area, np.append(centre, 0.0), np.trace(full) * np.eye(3) - full
 
 
 def plate(chord: float, span: float | None = None, *, angle: float = 0.0, sharpness: Sharpness = FINS) -> BodyShape:
@@ -75,7 +177,11 @@ def plate(chord: float, span: float | None = None, *, angle: float = 0.0, sharpn
     s = None if span is None else float(numbers("plate: span", span, low=1e-300))
     turn, area = radians(float(numbers("plate: angle", angle, low=-180, high=180))), c * (s or 1.0)
     make = lambda dx: plate_markers(c, s, turn, dx, sharpness)
-    return BodyShape(name="plate", markers=make, size=c, area=area, front=area * abs(sin(turn)), flat=s is None)
+    x, y, z = c / 2 * cos(turn), c / 2 * sin(turn), (s or 0.0) / 2
+    surface = np.array([[-x, y, -z], [x, -y, -z], [x, -y, z], [-x, y, z]]), np.array([[0, 1, 2], [0, 2, 3]])
+    if s is None:
+        surface = _ring(surface[0][:2, :2])
+    return BodyShape(name="plate", markers=make, size=c, area=area, surface=surface, width=min(c, s or c), flat=s is None)
 
 
 def plate_markers(chord: float, span: float | None, angle: float, dx: float, sharpness: Sharpness) -> Markers:
@@ -103,9 +209,10 @@ def mesh(source: Any, scale: float = 1.0) -> BodyShape:
     vertices, faces = _file_surface(Path(source)) if isinstance(source, str | Path) else _given_surface(source)
     vertices, faces = _closed(what, vertices * scale, faces)
     volume, centre, inertia = solid_moments(vertices, faces)
-    front, size = frontal_area(vertices, faces), float(np.ptp(vertices, 0).max())
+    surface, size = (vertices, faces), float(np.ptp(vertices, 0).max())
+    options: dict[str, Any] = {"volume": volume, "centre": centre, "inertia": inertia, "width": thinnest(vertices)}
     make = lambda dx: surface_markers(what, vertices, faces, dx)
-    return BodyShape(name=what, markers=make, size=size, area=front, front=front, volume=volume, centre=centre, inertia=inertia)
+    return BodyShape(name=what, markers=make, size=size, area=frontal_area([surface]), surface=surface, **options)
 
 
 def _given_surface(source) -> tuple[np.ndarray, np.ndarray]:
@@ -148,13 +255,6 @@ def _closed(what: str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     if not volume > 0:
         raise ConfigError(f"{what}: volume {volume:.3g} m3; expected triangles that are counter-clockwise seen from outside")
     return vertices, faces
-
-
-def frontal_area(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Area seen along x of a closed convex surface, m2; an upper bound for others."""
-    a, b, c = (vertices[faces[:, i], 1:] for i in range(3))
-    b, c = b - a, c - a
-    return float(np.abs(b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]).sum() / 4)
 
 
 def solid_moments(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -263,11 +363,17 @@ def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarr
     return vertices @ turn.reshape(3, 3).T + model.geom_pos[geom], faces
 
 
-def _meridian(what: str, kind: mujoco.mjtGeom, size: np.ndarray) -> np.ndarray:
-    """Half a section (n, 2) m: distance from the axis and height, from the lower pole to the upper one."""
+def _arc() -> np.ndarray:
+    """Half a circle (33, 2) of radius 1: distance from the axis and height."""
     turn = np.linspace(-pi / 2, pi / 2, 33)
     arc = np.stack([np.cos(turn), np.sin(turn)], -1)
     arc[[0, -1], 0] = 0.0
+    return arc
+
+
+def _meridian(what: str, kind: mujoco.mjtGeom, size: np.ndarray) -> np.ndarray:
+    """Half a section (n, 2) m: distance from the axis and height, from the lower pole to the upper one."""
+    arc = _arc()
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return arc * size[0]
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
