@@ -14,7 +14,7 @@ from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.records import Record
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
@@ -91,12 +91,12 @@ def investigate(
     """
     gates = gates or frozen()
     null = null or SimulatedNull()
-    records = [record_of(t, model.dt) for t in trials]
+    records = [model.record(t) for t in trials]
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")
     compile_kernel(model, say)
-    say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
+    say(f"null: {null.text}")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
     weighed = mass_properties.sensor(page or {}, model, mass_known)
@@ -120,7 +120,7 @@ def investigate(
 
 def compile_kernel(model, say: Callable[[str], None]) -> None:
     """Compiles the model's step to machine code, and reports the duration, which no bar's time left includes."""
-    if "kernel" not in vars(model):
+    if hasattr(type(model), "kernel") and "kernel" not in vars(model):
         say("compiling the model's kernel: some 12 s on one core the first time, then cached")
         begin = time.monotonic()
         _ = model.kernel

@@ -1,0 +1,296 @@
+"""A robot in MuJoCo with every effect of the robots' catalogue at each of its sites.
+
+    row      factors on its constants (mass, inertia, centre of each body; gain; stated friction), then effects: `coulomb_friction@elbow`
+    segment  starts from the logged state; u(k) is the mean of the logged command over step k, commands are held between their stamps
+    reading  s q - z of each joint, at its stamp; the cubic through angles and rates of the steps
+
+The mean over a step makes the prediction smooth in a delay. A late reading is a segment that begins as much earlier, so from the
+logs alone a delay of the sensors is one of the commands.
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from fishmj import effects
+from fishmj.base.cores import usable_cores
+from fishmj.effects.effect import Effect, Parameter
+from fishmj.gap.models.kernel import hermite
+from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.swimming_fish import Constant, ParameterRow
+from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.records.shooting import RobotRecord, assumed, robot_record
+from fishmj.log import Trial
+
+AT = "@"  # between an effect's name and its site's
+AT_ONCE = 4096  # rollouts of a batch, for memory's sake
+LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
+USUAL = 90  # percentile over the starts of all segments
+
+
+class RobotSizes(NamedTuple):
+    """Usual size of a torque [N m] and a rate [rad/s] of each joint (J,), from its logs."""
+
+    torque: np.ndarray
+    rate: np.ndarray
+
+
+class PlacedEffect(NamedTuple):
+    """An effect of the catalogue at one site. first: place of its first parameter among those of all effects."""
+
+    effect: Effect
+    form: effects.RobotForm
+    site: str
+    first: int
+
+
+class RigidRobot(ParameterRow):
+    """A robot described in MJCF.
+
+    Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
+    """
+
+    def __init__(self, robot: RobotDescription, sizes: RobotSizes, catalogue: Sequence[Effect] | None = None):
+        self.robot, self.sizes = robot, sizes
+        self.dt = float(robot.model.opt.timestep)
+        self.joints = len(robot.joints)
+        self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
+        self.constants, self._factors = self._tolerances()
+        self.placed: list[PlacedEffect] = []
+        listed, first = [], 0
+        for effect in effects.robot_catalogue().values() if catalogue is None else catalogue:
+            form = effect.robot
+            for site in robot.sites(form.site) if form else ():
+                listed.append(self._at(effect, form, site))
+                self.placed.append(PlacedEffect(effect, form, site, first))
+                first += len(form.parameters)
+        self.active = effects.EffectStack(listed, self.joints)
+
+    def record(self, trial: Trial) -> RobotRecord:
+        """A log, ready to be predicted. Raises LogError."""
+        return robot_record(trial, self.dt, tuple(j.name for j in self.robot.joints))
+
+    # --------------------------------------------------------------------------------------------------------------- parameters
+    def _tolerances(self) -> tuple[tuple[Constant, ...], list]:
+        """The constants, and the function of each that multiplies the fields of a model by a factor."""
+        m, tolerance, found = self.robot.model, assumed("tolerance"), []
+
+        def scaled(name: str, index: Any):
+            def multiply(model, factor: float) -> None:
+                getattr(model, name)[index] *= factor
+
+            return multiply
+
+        def mass(body: int):
+            def multiply(model, factor: float) -> None:
+                model.body_mass[body] *= factor
+                model.body_inertia[body] *= factor
+
+            return multiply
+
+        for name, b in self.robot.bodies.items():
+            found.append((Constant(f"mass{AT}{name}", tolerance["mass"]), mass(b)))
+            found.append((Constant(f"inertia{AT}{name}", tolerance["inertia"]), scaled("body_inertia", b)))
+            found.append((Constant(f"centre{AT}{name}", tolerance["centre"]), scaled("body_ipos", b)))
+        for j in self.robot.joints:
+            if j.actuator >= 0:
+                found.append((Constant(f"gain{AT}{j.name}", tolerance["gain"]), scaled("actuator_gainprm", (j.actuator, 0))))
+            for field in ("dof_frictionloss", "dof_damping"):
+                if getattr(m, field)[j.dof] > 0:
+                    found.append((Constant(f"{field[4:]}{AT}{j.name}", tolerance["friction"]), scaled(field, j.dof)))
+        return tuple(constant for constant, _ in found), [function for _, function in found]
+
+    def _at(self, effect: Effect, form: effects.RobotForm, site: str) -> Effect:
+        """The effect at one site, its sizes in SI."""
+        name = effect.name + (AT + site if site else "")
+        scale = self._scale(form, site)
+        sized = tuple(_scaled(p, scale) for p in form.parameters)
+        others = [(c, other.robot) for c in form.confusions if (other := effects.robot_catalogue().get(c.other)) and other.robot]
+        confused = tuple(
+            replace(c, other=c.other + (AT + at if at else ""))
+            for c, other in others
+            for at in ((site,) if site in self.robot.sites(other.site) else self.robot.sites(other.site))
+        )
+        bare = dict.fromkeys(("servo", "gear", "fish", "flow", "body", "water", "command", "measure"))
+        placed = form._replace(parameters=sized)
+        return replace(
+            effect, name=name, parameters=sized, shows=(), memory=(), handed=(), confusions=confused, robot=placed, **bare
+        )
+
+    def _scale(self, form: effects.RobotForm, site: str) -> float:
+        """Size of an effect's unit at a site."""
+        m = self.robot.model
+        if not form.scale:
+            return 1.0
+        if form.scale == "mass":
+            return float(m.body_mass[self.robot.bodies[site]])
+        i = self.robot.sites("joint").index(site)
+        torque = float(np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))[i])
+        if form.scale == "damping":
+            return torque / max(float(self.sizes.rate[i]), LEAST)
+        return float(m.dof_M0[self.robot.joints[i].dof]) if form.scale == "inertia" else torque
+
+    def model(self, row: np.ndarray) -> Any:
+        """A MjModel with the constants and effects of one parameter row (P,), delays and readings aside."""
+        m = copy.copy(self.robot.model)
+        for factor, multiply in zip(row, self._factors, strict=False):
+            if factor != 1.0:
+                multiply(m, float(factor))
+        for placed, p in self._present(row):
+            if placed.form.fields is not None:
+                placed.form.fields(self.robot.site(m, placed.form.site, placed.site), p)
+        mujoco.mj_setConst(m, self._data[0])
+        return m
+
+    def _present(self, row: np.ndarray):
+        """(placed effect, its parameters) of those that are not at their null."""
+        values = np.asarray(row)[len(self.constants) :]
+        for placed in self.placed:
+            mine = values[placed.first : placed.first + len(placed.form.parameters)]
+            if tuple(mine) != tuple(p.null for p in placed.form.parameters):
+                yield placed, SimpleNamespace(**{p.name: float(v) for p, v in zip(placed.form.parameters, mine, strict=True)})
+
+    def delay(self, row: np.ndarray) -> float:
+        """Delay of commands and readings together, s."""
+        parameters = list(np.asarray(row)[len(self.constants) :])
+        return float(self.active.delay(np, parameters, "command") + self.active.delay(np, parameters, "joint"))
+
+    def _reading(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(J,) scale and zero of the joints' encoders."""
+        scale, zero = np.ones(self.joints), np.zeros(self.joints)
+        names = self.robot.sites("joint")
+        for placed, p in self._present(row):
+            if placed.form.reading is not None:
+                factor, offset = placed.form.reading(p)
+                scale[names.index(placed.site)] *= factor
+                zero[names.index(placed.site)] += offset
+        return scale, zero
+
+    # --------------------------------------------------------------------------------------------------------------- prediction
+    def predict(self, records: list[RobotRecord], rows) -> list[dict]:
+        """Predicted readings of every parameter row (R, P) on every record: {"joint": (R, K, J)} at its stamps."""
+        rows = np.atleast_2d(np.asarray(rows, float))
+        models = [self.model(row) for row in rows]
+        return [{"joint": self._shoot(record, rows, models)} for record in records]
+
+    def _shoot(self, record: RobotRecord, rows: np.ndarray, models: list, moved=None, pushed=None) -> np.ndarray:
+        """(R, K, J) readings. moved: (R, 2, J) added to angles and rates at each start; pushed: (R, T, J) torques on the joints."""
+        places = [j.place for j in self.robot.joints]
+        dofs = [j.dof for j in self.robot.joints]
+        segments, steps = len(record.starts), self.steps(record)
+        read = [self._reading(row) for row in rows]
+        scale, zero = (np.stack(part)[:, None] for part in zip(*read, strict=True))
+        still = np.zeros((len(rows), 2, self.joints)) if moved is None else moved
+        angle = (record.angles + zero + still[:, :1]) / scale
+        rate = (record.rates + still[:, 1:]) / scale
+        m = self.robot.model
+        start = np.zeros((len(rows), segments, 1 + m.nq + m.nv))
+        start[..., [1 + p for p in places]] = angle
+        start[..., [1 + m.nq + d for d in dofs]] = rate
+        known: dict[float, np.ndarray] = {}
+        out = np.empty((len(rows), len(record.joint.t), self.joints))
+        first = np.searchsorted(record.joint.t, record.starts)
+        ends = np.append(first[1:], len(record.joint.t))
+        few = max(1, AT_ONCE // segments)
+        for begin in range(0, len(rows), few):
+            some = range(begin, min(begin + few, len(rows)))
+            control = []
+            for r in some:
+                late = self.delay(rows[r])
+                if late not in known:
+                    known[late] = self._commands(record, steps, late)
+                control.append(known[late])
+            u = np.concatenate(control)
+            spec = int(mujoco.mjtState.mjSTATE_CTRL)
+            if pushed is not None:
+                force = np.zeros((len(u), steps, m.nv))
+                force[..., dofs] = np.repeat(pushed[some.start : some.stop], segments, 0)
+                u, spec = np.concatenate([u, force], 2), spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+            batch = [models[r] for r in some for _ in range(segments)]
+            begins = start[some.start : some.stop].reshape(len(batch), -1)
+            state, _ = rollout.rollout(batch, self._data, begins, u, control_spec=spec)
+            state = np.concatenate([begins[:, None], state], 1).reshape(len(some), segments, steps + 1, -1)
+            q, v = state[..., [1 + p for p in places]], state[..., [1 + m.nq + d for d in dofs]]
+            for k, (a, b) in enumerate(zip(first, ends, strict=True)):
+                at = np.broadcast_to(record.joint.t[a:b] - record.starts[k], (len(some), b - a))
+                sampled = hermite(np.ascontiguousarray(q[:, k]), np.ascontiguousarray(v[:, k]), self.dt, np.ascontiguousarray(at))
+                out[some.start : some.stop, a:b] = sampled
+        return scale * out - zero
+
+    def steps(self, record: RobotRecord) -> int:
+        """Number of steps of a segment."""
+        return int(np.ceil(record.length / self.dt - 1e-9)) + 1
+
+    def _commands(self, record: RobotRecord, steps: int, late: float) -> np.ndarray:
+        """(S, T, A) mean of each command over each step, `late` s after it was sent."""
+        held = np.diff(record.sent, append=record.sent[-1] + 1e6)
+        whole = np.concatenate([np.zeros((1, record.commands.shape[1])), np.cumsum(record.commands * held[:, None], 0)])
+        edges = np.append(record.sent, record.sent[-1] + 1e6)
+        t = record.starts[:, None] + self.dt * np.arange(steps + 1) - late
+        out = np.empty((len(record.starts), steps, record.commands.shape[1]))
+        for a in range(out.shape[2]):
+            own = t - self.robot.delays[a]
+            summed = np.interp(own, edges, whole[:, a]) + np.minimum(own - edges[0], 0.0) * record.commands[0, a]
+            out[..., a] = np.diff(summed, axis=1) / self.dt
+        return out
+
+    # --------------------------------------------------------------------------------------------------------- errors of a record
+    def record_errors(self, records: list[RobotRecord], layout: ResidualLayout) -> tuple[np.ndarray, ...]:
+        """Of each record (K, m_l): response to the error of each start, and to a torque at each joint that no model explains.
+
+        The torque is the sum of hats every `spacing` s; each hat at each joint has a deviation of its own.
+        """
+        tolerance = assumed("tolerance")
+        out = []
+        for i, record in enumerate(records):
+            steps = self.steps(record)
+            t = self.dt * np.arange(steps)
+            hats = [np.maximum(0.0, 1.0 - np.abs(t - at) / tolerance["spacing"]) for at in np.arange(0.0, t[-1], tolerance["spacing"])]
+            begin, push = 2 * self.joints, self.joints * len(hats)
+            moved = np.zeros((1 + begin + push, 2, self.joints))
+            pushed = np.zeros((1 + begin + push, steps, self.joints))
+            for j in range(self.joints):
+                moved[1 + j, 0, j] = record.angle_error[j]
+                moved[1 + self.joints + j, 1, j] = record.rate_error[j]
+                for h, hat in enumerate(hats):
+                    pushed[1 + begin + j * len(hats) + h, :, j] = tolerance["torque"] * self.sizes.torque[j] * hat
+            rows = np.tile(self.nothing, (len(moved), 1))
+            seen = self._shoot(record, rows, [self.model(self.nothing)] * len(rows), moved, pushed)
+            change = -ResidualLayout([record]).residuals([{"joint": seen}])
+            change = np.nan_to_num(change[1:] - change[0])
+            mine = [b for b in layout.blocks if b.record == i]
+            place = np.concatenate([np.searchsorted(record.starts, b.t, side="right") - 1 for b in mine])
+            out.append(np.concatenate([change * (place == s) for s in range(len(record.starts))]))
+        return tuple(out)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Text of the description."""
+        return self.robot.spec.to_xml()
+
+
+def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSizes:
+    """Usual torques, by the model's inverse dynamics at the starts of all segments, and rates."""
+    m, d = robot.model, mujoco.MjData(robot.model)
+    places, dofs = [j.place for j in robot.joints], [j.dof for j in robot.joints]
+    torque, rate = [], []
+    for record in records:
+        for q, v, a in zip(record.angles, record.rates, record.accelerations, strict=True):
+            d.qpos[places], d.qvel[dofs], d.qacc[dofs] = q, v, a
+            mujoco.mj_inverse(m, d)
+            torque.append(np.abs(d.qfrc_inverse[dofs]))
+            rate.append(np.abs(v))
+    return RobotSizes(np.percentile(torque, USUAL, axis=0), np.percentile(rate, USUAL, axis=0))
+
+
+def _scaled(p: Parameter, scale: float) -> Parameter:
+    """The parameter with bounds and typical sizes times `scale` about its null."""
+    away = lambda x: p.null + scale * (x - p.null)
+    return replace(p, low=away(p.low), high=away(p.high), typical=(away(p.typical[0]), away(p.typical[1])))
