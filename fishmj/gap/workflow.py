@@ -190,8 +190,22 @@ def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     return replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
 
 
+def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto for a robot in MJCF: torques that nothing explains get smaller, else UNEXPLAINED."""
+    model = inquiry.evidence.model
+    if not hasattr(model, "torque_tolerance"):
+        return verdict
+    from fishmj.gap.search import unexplained_torque
+
+    names = tuple(joint.name for joint in model.robot.joints)
+    return unexplained_torque.require_smaller_torques(verdict, inquiry.evidence, inquiry.found.best.row, names)
+
+
 # Row 20 to 22 of the gates on docs/search/gap.md, in its order; what only adds to the verdict stands where it is needed.
-VETOES = (challenge_by_free_forces, require_repeatability, propose_experiment, describe_by_terms, ask_unseen_records)
+VETOES = (
+    *(challenge_by_free_forces, require_repeatability, propose_experiment, describe_by_terms),
+    *(require_smaller_torques, ask_unseen_records),
+)
 
 
 def unrepeatable(trials: list[Trial], e: Likelihood) -> str:

@@ -55,6 +55,9 @@ class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
+
+    torque_error: (J,) N m, deviation of the torque at each joint that no model explains; as stated, or as measured
+    (search/unexplained_torque.py). reference: (P,) row at which `record_errors` are linear.
     """
 
     def __init__(self, robot: RobotDescription, sizes: RobotSizes, catalogue: Sequence[Effect] | None = None):
@@ -72,6 +75,19 @@ class RigidRobot(ParameterRow):
                 self.placed.append(PlacedEffect(effect, form, site, first))
                 first += len(form.parameters)
         self.active = effects.EffectStack(listed, self.joints)
+        self.torque_error = self.torque_tolerance
+        self.reference = self.nothing
+
+    @property
+    def torque_tolerance(self) -> np.ndarray:
+        """(J,) N m, `torque_error` as stated."""
+        return assumed("tolerance")["torque"] * self.sizes.torque
+
+    def with_errors(self, torque: np.ndarray, reference: np.ndarray) -> "RigidRobot":
+        """The same robot with another `torque_error` and `reference`."""
+        there = copy.copy(self)
+        there.torque_error, there.reference = torque, reference
+        return there
 
     def record(self, trial: Trial) -> RobotRecord:
         """A log, ready to be predicted. Raises LogError."""
@@ -245,14 +261,13 @@ class RigidRobot(ParameterRow):
     def record_errors(self, records: list[RobotRecord], layout: ResidualLayout) -> tuple[np.ndarray, ...]:
         """Of each record (K, m_l): response to the error of each start, and to a torque at each joint that no model explains.
 
-        The torque is the sum of hats every `spacing` s; each hat at each joint has a deviation of its own.
+        The torque is the sum of hats every `spacing` s; each hat at each joint has a deviation of its own. Rows are in the order
+        of `error_groups`.
         """
-        tolerance = assumed("tolerance")
         out = []
         for i, record in enumerate(records):
             steps = self.steps(record)
-            t = self.dt * np.arange(steps)
-            hats = [np.maximum(0.0, 1.0 - np.abs(t - at) / tolerance["spacing"]) for at in np.arange(0.0, t[-1], tolerance["spacing"])]
+            hats = self._hats(record)
             begin, push = 2 * self.joints, self.joints * len(hats)
             moved = np.zeros((1 + begin + push, 2, self.joints))
             pushed = np.zeros((1 + begin + push, steps, self.joints))
@@ -260,15 +275,26 @@ class RigidRobot(ParameterRow):
                 moved[1 + j, 0, j] = record.angle_error[j]
                 moved[1 + self.joints + j, 1, j] = record.rate_error[j]
                 for h, hat in enumerate(hats):
-                    pushed[1 + begin + j * len(hats) + h, :, j] = tolerance["torque"] * self.sizes.torque[j] * hat
-            rows = np.tile(self.nothing, (len(moved), 1))
-            seen = self._shoot(record, rows, [self.model(self.nothing)] * len(rows), moved, pushed)
+                    pushed[1 + begin + j * len(hats) + h, :, j] = self.torque_error[j] * hat
+            rows = np.tile(self.reference, (len(moved), 1))
+            seen = self._shoot(record, rows, [self.model(self.reference)] * len(rows), moved, pushed)
             change = -ResidualLayout([record]).residuals([{"joint": seen}])
             change = np.nan_to_num(change[1:] - change[0])
             mine = [b for b in layout.blocks if b.record == i]
             place = np.concatenate([np.searchsorted(record.starts, b.t, side="right") - 1 for b in mine])
             out.append(np.concatenate([change * (place == s) for s in range(len(record.starts))]))
         return tuple(out)
+
+    def error_groups(self, record: RobotRecord) -> np.ndarray:
+        """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""
+        segments = len(record.starts)
+        torques = np.repeat(np.arange(self.joints), segments * len(self._hats(record)))
+        return np.concatenate([np.full(2 * self.joints * segments, self.joints), torques])
+
+    def _hats(self, record: RobotRecord) -> list[np.ndarray]:
+        """Hat functions (T,) over the steps of a segment."""
+        t, spacing = self.dt * np.arange(self.steps(record)), assumed("tolerance")["spacing"]
+        return [np.maximum(0.0, 1.0 - np.abs(t - at) / spacing) for at in np.arange(0.0, t[-1], spacing)]
 
     @cached_property
     def fingerprint(self) -> str:
