@@ -15,13 +15,15 @@ from typing import NamedTuple
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import write_text
+from fishmj.base.store import read_json, write_text
 from fishmj.engines import own_effects
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.check import gaps
+from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, pair, title
+from fishmj.log.trial import look_up
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
@@ -67,7 +69,13 @@ def main(argv: list[str]) -> int:
         aside = model_version.revert(args.revert)
         console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
         return console.OK
-    written = apply(args.report, args.out, args.data, args.force, args.counted_in)
+    verdict = read_json(args.report / "verdict.json" if args.report.is_dir() else args.report)
+    if isinstance(verdict, dict) and is_robot(look_up(verdict, "context.model", "")):
+        from fishmj.gap.commands.apply_robot import apply_robot
+
+        written = ApplyOutcome(**apply_robot(args.report, verdict, args.out, args.force))
+    else:
+        written = apply(args.report, args.out, args.data, args.force, args.counted_in)
     console.say(written.reason, *([f"written: {written.path}"] if written.path else []))
     if written.mjcf:
         console.say(written.mjcf.rstrip("\n"))

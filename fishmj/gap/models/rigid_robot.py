@@ -62,7 +62,7 @@ class RigidRobot(ParameterRow):
 
     def __init__(self, robot: RobotDescription, sizes: RobotSizes, catalogue: Sequence[Effect] | None = None):
         self.robot, self.sizes = robot, sizes
-        self.dt = float(robot.model.opt.timestep)
+        self.dt = robot.dt
         self.joints = len(robot.joints)
         self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
         self.constants, self._factors = self._tolerances()
@@ -91,7 +91,7 @@ class RigidRobot(ParameterRow):
 
     def record(self, trial: Trial) -> RobotRecord:
         """A log, ready to be predicted. Raises LogError."""
-        return robot_record(trial, self.dt, tuple(j.name for j in self.robot.joints))
+        return robot_record(trial, self.dt, self.robot.sites("joint"))
 
     # --------------------------------------------------------------------------------------------------------------- parameters
     def _tolerances(self) -> tuple[tuple[Constant, ...], list]:

@@ -53,6 +53,11 @@ class RobotDescription:
     notes: tuple[str, ...] = ()
 
     @property
+    def dt(self) -> float:
+        """Time step of the model, s."""
+        return float(self.model.opt.timestep)
+
+    @property
     def bodies(self) -> dict[str, int]:
         """Name -> number of each moving body with a mass."""
         m = self.model

@@ -1,0 +1,111 @@
+"""`gap find LOGS --model robot.xml`: what is missing in the simulation of a robot described in MJCF or URDF.
+
+LOGS is a folder of tables, one a log, with a column for each joint's position and each actuator's command (records/robot_logs.py).
+"""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.store import write_json
+from fishmj.gap import progress
+from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.robot_description import RobotDescription, read_robot
+from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
+from fishmj.gap.records.shooting import robot_record
+from fishmj.gap.search.unexplained_torque import with_measured_errors
+from fishmj.gap.thresholds import frozen
+from fishmj.gap.workflow import Inquiry, investigate, set_aside
+
+FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
+AGAIN = "the same command begins anew"
+
+
+def find(args: Any) -> int:
+    """Answers the command. args: of `gap find`. Returns the exit code."""
+    for option, usual in FISH_ONLY.items():
+        if getattr(args, option, usual) not in (usual, []):
+            raise ConfigError(f"gap find: --{option.replace('_', '-')} is of fish; leave it out with --model {args.model}")
+    path = Path(args.model)
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
+    robot = read_robot(path)
+    files = log_files(args.data)
+    columns = columns_of(args, robot, files)
+    trials, broken = read_robot_logs(files, columns)
+    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
+        console.warn(note)
+    if len(trials) < 2:
+        raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
+    with interrupt.keeping(lambda: AGAIN):
+        inquiry = search(robot, trials, args)
+        console.say(inquiry.verdict.text())
+        if args.out:
+            console.say(f"written: {', '.join(write(inquiry, args.out, context_of(args, robot, files)))}")
+    if args.json:
+        console.emit_json(inquiry.verdict.plain() | {"skipped": broken, "notes": list(robot.notes)})
+    return console.OK
+
+
+def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotColumns:
+    """Columns of the map, or guessed, shown and confirmed. Raises LogError."""
+    joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
+    if args.columns:
+        return read_columns(args.columns, joints, actuators)
+    sheet = read_sheet(files[0])
+    torques = not robot.model.actuator_biasprm[:, 1].any()
+    try:
+        found = guess_columns(list(sheet.columns), joints, actuators, torques)
+    except LogError as error:
+        raise LogError(f"{sheet.where}: {error}") from error
+    console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
+    if not args.yes and not console.confirmed("Is that right?"):
+        raise LogError("gap find: the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+    return found
+
+
+def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
+    """Searches the logs."""
+    null = RobotNull(args.null_runs, args.noise, args.seed)
+    records = [robot_record(trial, robot.dt, robot.sites("joint")) for trial in trials]
+    seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
+    model, _ = with_measured_errors(RigidRobot(robot, sizes_of(robot, seen)), seen, null, progress.terminal_bar)
+    return investigate(
+        model,
+        trials,
+        gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
+        null=null,
+        mass_known=False,
+        seed=args.seed,
+        say=console.say,
+        bars=progress.terminal_bar,
+        notes=robot.notes,
+    )
+
+
+def digest(path: Path) -> str:
+    """sha256 of a description's text."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def context_of(args: Any, robot: RobotDescription, files: list[Path]) -> dict:
+    """Inputs of the search, for gap apply."""
+    whole = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+    return {
+        "model": str(robot.path.resolve()),
+        "model_sha256": digest(robot.path),
+        "data": str(args.data.resolve()),
+        "data_sha256": whole,
+        "null": {"runs": args.null_runs, "noise": args.noise, "seed": args.seed},
+    }
+
+
+def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
+    """Writes verdict.json; returns the names of the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "verdict.json", inquiry.verdict.plain() | {"context": context})
+    return ["verdict.json"]

@@ -1,0 +1,71 @@
+"""A two-link arm in MJCF and its logs, *synthetic*: MuJoCo itself with edited attributes is the robot that the search must explain."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+ARM = """<mujoco model="arm">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.02"/>
+      <inertial pos="0 0 -0.2" mass="0.6" diaginertia="0.004 0.004 0.0005"/>
+      <body name="lower" pos="0 0 -0.3">
+        <joint name="elbow" type="hinge" axis="0 1 0" damping="0.01"/>
+        <inertial pos="0.02 0 -0.15" mass="0.4" diaginertia="0.003 0.003 0.0003"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="shoulder" joint="shoulder" ctrlrange="-6 6"/>
+    <motor name="elbow" joint="elbow" ctrlrange="-4 4"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def edited(**changes) -> str:
+    """The arm with attributes replaced: `elbow_joint='frictionloss="0.1"'` adds to an element, a text=text pair replaces one."""
+    text = ARM
+    for place, more in changes.items():
+        name, _, kind = place.rpartition("_")
+        old = f'<{kind} name="{name}"'
+        assert old in text
+        text = text.replace(old, f"{old} {more}")
+    return text
+
+
+def swing(text: str, seconds: float, seed: int, *, late: float = 0.0, noise: float = 2e-4, tilt: float = 0.0, zero=(0.0, 0.0)):
+    """(t, commands, readings) of one log: motors driven by sums of sines, encoders at 250 Hz.
+
+    late: s that commands are late. tilt: rad about y of gravity. zero: rad of each encoder.
+    """
+    m = mujoco.MjModel.from_xml_string(text)
+    g = m.opt.gravity[2]
+    m.opt.gravity[:] = -g * np.sin(tilt), 0.0, g * np.cos(tilt)
+    d, rng = mujoco.MjData(m), np.random.default_rng(seed)
+    steps, dt = round(seconds / 0.002), 0.002
+    t = dt * np.arange(steps)
+    rates, phases = rng.uniform(0.3, 2.2, (2, 4)), rng.uniform(0, 6.28, (2, 4))
+    size = np.array([1.1, 0.45])[:, None] * rng.dirichlet(np.ones(4), 2) * 1.6
+    asked = np.sum(size[..., None] * np.sin(2 * np.pi * rates[..., None] * t + phases[..., None]), 1).T
+    q = np.empty((steps, 2))
+    for k in range(steps):
+        q[k] = d.qpos
+        d.ctrl[:] = asked[max(k - round(late / dt), 0)]
+        mujoco.mj_step(m, d)
+    read = q[::2] - np.asarray(zero) + noise * rng.standard_normal((len(q[::2]), 2))
+    return t, asked, read
+
+
+def write_logs(folder: Path, text: str, logs: int = 4, seconds: float = 5.0, seed: int = 0, **hidden) -> Path:
+    """A folder of logs as CSV: t, cmd_shoulder, cmd_elbow, pos_shoulder, pos_elbow; empty cells where the encoder has no reading."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(logs):
+        t, asked, read = swing(text, seconds, 100 * seed + i, **hidden)
+        lines = ["t,cmd_shoulder,cmd_elbow,pos_shoulder,pos_elbow"]
+        for k in range(0, len(t), 2):
+            lines.append(",".join(f"{x:.6f}" for x in (t[k], *asked[k], *read[k // 2])))
+        (folder / f"swing{i}.csv").write_text("\n".join(lines) + "\n")
+    return folder
