@@ -91,7 +91,7 @@ def investigate(
     """
     gates = gates or frozen()
     null = null or SimulatedNull()
-    records = [model.record(t) for t in trials]
+    records = model.records(trials)
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")

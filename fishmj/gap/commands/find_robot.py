@@ -16,7 +16,7 @@ from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
-from fishmj.gap.records.shooting import robot_record
+from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.search.unexplained_torque import with_measured_errors
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
@@ -71,7 +71,7 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
 def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     """Searches the logs."""
     null = RobotNull(args.null_runs, args.noise, args.seed)
-    records = [robot_record(trial, robot.dt, robot.sites("joint")) for trial in trials]
+    records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
     model, _ = with_measured_errors(RigidRobot(robot, sizes_of(robot, seen)), seen, null, progress.terminal_bar)
     return investigate(

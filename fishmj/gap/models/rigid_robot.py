@@ -26,7 +26,7 @@ from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.records.shooting import RobotRecord, assumed, robot_record
+from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
 from fishmj.log import Trial
 
 AT = "@"  # between an effect's name and its site's
@@ -89,9 +89,9 @@ class RigidRobot(ParameterRow):
         there.torque_error, there.reference = torque, reference
         return there
 
-    def record(self, trial: Trial) -> RobotRecord:
-        """A log, ready to be predicted. Raises LogError."""
-        return robot_record(trial, self.dt, self.robot.sites("joint"))
+    def records(self, trials: Sequence[Trial]) -> list[RobotRecord]:
+        """The logs, ready to be predicted. Raises LogError."""
+        return robot_records(trials, self.dt, self.robot.sites("joint"))
 
     # --------------------------------------------------------------------------------------------------------------- parameters
     def _tolerances(self) -> tuple[tuple[Constant, ...], list]:

@@ -13,6 +13,7 @@ damping: back-EMF, controller, grease) are SI here, not factors.
 """
 
 import hashlib
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -100,9 +101,9 @@ class SwimmingFish(ParameterRow):
         """(P,) row of the present model: with the effects that its description lists."""
         return self.row(self.robot)
 
-    def record(self, trial: Trial) -> Record:
-        """A trial, ready to be predicted. Raises LogError."""
-        return record_of(trial, self.dt)
+    def records(self, trials: Sequence[Trial]) -> list[Record]:
+        """The trials, ready to be predicted. Raises LogError."""
+        return [record_of(trial, self.dt) for trial in trials]
 
     def row(self, robot: Robot) -> np.ndarray:
         """(P,) row of another description's effects on this fish; effects outside this model's catalogue are left out."""

@@ -8,7 +8,7 @@ A chaotic arm leaves any model within seconds, so no log is compared as one free
 of `ResidualLayout`, so no average crosses a start.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -122,6 +122,27 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
         rate_error=np.maximum(error[1], spread[1]),
         channels={"joint": joints},
     )
+
+
+def robot_records(trials: Sequence[Trial], dt: float, joints: tuple[str, ...]) -> list[RobotRecord]:
+    """The logs of one search. Raises LogError."""
+    return thinned([robot_record(trial, dt, joints) for trial in trials], int(assumed("segments")["most"]))
+
+
+def thinned(records: list[RobotRecord], most: int) -> list[RobotRecord]:
+    """The records with at most `most` segments together, spread evenly over each: the cost of a search is their number."""
+    total = sum(len(r.starts) for r in records)
+    return [_some_of(r, max(1, round(len(r.starts) * most / total))) for r in records] if total > most else records
+
+
+def _some_of(record: RobotRecord, count: int) -> RobotRecord:
+    """The record with `count` of its segments."""
+    kept = np.unique(np.linspace(0, len(record.starts) - 1, count).round().astype(int))
+    place = np.searchsorted(record.starts, record.joint.t, side="right") - 1
+    rows = np.isin(place, kept)
+    joint = record.joint._replace(t=record.joint.t[rows], values=record.joint.values[rows])
+    some = {name: getattr(record, name)[kept] for name in ("starts", "angles", "rates", "accelerations")}
+    return record._replace(joint=joint, **some)
 
 
 class _LocalFit(NamedTuple):
