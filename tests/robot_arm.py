@@ -1,4 +1,4 @@
-"""A two-link arm in MJCF and its logs, *synthetic*: MuJoCo itself with edited attributes is the robot that the search must explain."""
+"""A two-link arm in MJCF and its logs, *synthetic*: MuJoCo with edited attributes is the robot that a search must explain."""
 
 from pathlib import Path
 
@@ -60,7 +60,7 @@ def swing(text: str, seconds: float, seed: int, *, late: float = 0.0, noise: flo
 
 
 def write_logs(folder: Path, text: str, logs: int = 4, seconds: float = 5.0, seed: int = 0, **hidden) -> Path:
-    """A folder of logs as CSV: t, cmd_shoulder, cmd_elbow, pos_shoulder, pos_elbow; empty cells where the encoder has no reading."""
+    """A folder of logs as CSV: t, cmd_shoulder, cmd_elbow, pos_shoulder, pos_elbow."""
     folder.mkdir(parents=True, exist_ok=True)
     for i in range(logs):
         t, asked, read = swing(text, seconds, 100 * seed + i, **hidden)

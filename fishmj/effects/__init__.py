@@ -53,6 +53,15 @@ def get(name: str) -> Effect:
 
 
 __all__ = [
-    *("CHANNELS", "STAGES", "EffectStack", "Confusion", "Effect", "Parameter", "RobotForm"),
-    *("catalogue", "get", "join", "robot_catalogue"),
+    "CHANNELS",
+    "STAGES",
+    "Confusion",
+    "Effect",
+    "EffectStack",
+    "Parameter",
+    "RobotForm",
+    "catalogue",
+    "get",
+    "join",
+    "robot_catalogue",
 ]

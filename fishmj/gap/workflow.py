@@ -4,14 +4,16 @@ read -> null runs -> forward selection -> gates -> free forces -> repeatable? ->
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
@@ -40,7 +42,7 @@ class Inquiry:
     trials: list[Trial]
     records: list[Record]
     unseen: np.ndarray
-    null: SimulatedNull
+    null: Any  # SimulatedNull, or RobotNull of a robot in MJCF
     swims: Likelihood | None
     further: bool
     seed: int
@@ -65,7 +67,7 @@ def investigate(
     trials: list[Trial],
     *,
     gates: Gates | None = None,
-    null: SimulatedNull | None = None,
+    null: SimulatedNull | RobotNull | None = None,
     page: dict | None = None,
     mass_known: bool = True,
     healthy: HealthySwims | None = None,
@@ -127,7 +129,7 @@ def compile_kernel(model, say: Callable[[str], None]) -> None:
         say(f"compiled in {time.monotonic() - begin:.1f} s")
 
 
-def set_aside(records: list[Record], seed: int) -> np.ndarray:
+def set_aside(records: Sequence, seed: int) -> np.ndarray:
     """(L,) bool: a quarter of many records, none of few."""
     aside = np.zeros(len(records), bool)
     if len(records) >= thresholds().workflow.set_aside_from:

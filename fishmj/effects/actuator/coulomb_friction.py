@@ -9,7 +9,6 @@ def gear(xp, p, g, memory, h):
     return apply_dry_friction(xp, lambda speed: p.torque, g, memory, h)
 
 
-
 def fields(site, p):
     """MuJoCo's own dry friction."""
     site.m.dof_frictionloss[site.dof] += p.torque

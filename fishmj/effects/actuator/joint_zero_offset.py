@@ -21,7 +21,6 @@ def measure(xp, p, seen):
     return seen._replace(joint=seen.joint - offsets)
 
 
-
 def fields(site, p):
     """A controller in the motor closes its loop on the encoder."""
     if site.actuator >= 0:

@@ -8,7 +8,6 @@ def servo(xp, p, s, memory, h):
     return s._replace(kp=(1.0 + p.gain) * s.kp, kv=(1.0 + p.gain) * s.kv), memory
 
 
-
 def fields(site, p):
     """Gain and bias of the actuator, a constant force of it aside."""
     site.m.actuator_gainprm[site.actuator, 0] *= 1.0 + p.gain

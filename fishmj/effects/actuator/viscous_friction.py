@@ -8,7 +8,6 @@ def gear(xp, p, g, memory, h):
     return g._replace(resist=g.resist + p.damping), memory
 
 
-
 def fields(site, p):
     """MuJoCo's own linear damping."""
     site.m.dof_damping[site.dof] += p.damping

@@ -2,6 +2,8 @@
 
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
+ANGLES = tuple(Parameter(name=name, unit="rad", low=-0.3, high=0.3, typical=(0.01, 0.05)) for name in ("pitch", "roll"))
+
 
 def fields(site, p):
     """Gravity turns by pitch about y and by roll about x of the world; to first order its size stays."""
@@ -21,8 +23,8 @@ EFFECT = Effect(
     native="option gravity",
     robot=RobotForm(
         site="robot",
-        parameters=tuple(Parameter(name=name, unit="rad", low=-0.3, high=0.3, typical=(0.01, 0.05)) for name in ("pitch", "roll")),
+        parameters=ANGLES,
         fields=fields,
-        confusions=(Confusion("joint_zero_offset", "a zero of one joint moves the joints after it alike: turn the base by 90 deg"),),
+        confusions=(Confusion("joint_zero_offset", "a zero moves one joint, a tilt all: turn the base by 90 deg"),),
     ),
 )

@@ -17,7 +17,6 @@ def fish(xp, p, c):
     return c._replace(chain=chain, swimmer=c.swimmer._replace(mass=[head, *(share * x for x in others)]))
 
 
-
 def fields(site, p):
     """m' = m + dm, inertia alike, the centre where it is."""
     m = site.m

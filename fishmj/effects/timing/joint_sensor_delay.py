@@ -17,7 +17,5 @@ EFFECT = Effect(
         Confusion("clock_offset", "camera and power keep their phase to the commands", ("impulse",)),
     ),
     delays={"joint": "delay"},
-    robot=RobotForm(
-        site="robot", parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.2, typical=(0.003, 0.03)),)
-    ),
+    robot=RobotForm(site="robot", parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.2, typical=(0.003, 0.03)),)),
 )

@@ -1,5 +1,6 @@
 """`gap apply REPORT` for a robot in MJCF: the named effects as fields of its next version, <robot>.v<N>.xml."""
 
+import copy
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -48,8 +49,6 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
 
 def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float]:
     """(MjModel with the effects, delay of the commands in s). Raises ConfigError for an effect that MJCF cannot hold."""
-    import copy
-
     m, delay = copy.copy(robot.model), 0.0
     for effect in named:
         name, _, site = effect["name"].partition(AT)
@@ -58,7 +57,8 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float]:
             raise ConfigError(f"{name!r} is no effect of a robot in MJCF; known: {', '.join(effects.robot_catalogue())}")
         p = SimpleNamespace(**{key: float(value["value"]) for key, value in effect["parameters"].items()})
         if known.robot.reading is not None:
-            raise ConfigError(f"{title(effect['name'])}: an error of a sensor belongs into the reading of the logs, not into MJCF")
+            told = "an error of a sensor belongs into the reading of the logs, not into MJCF"
+            raise ConfigError(f"{title(effect['name'])}: {told}")
         if known.robot.fields is not None:
             known.robot.fields(robot.site(m, known.robot.site, site), p)
         delay += sum(getattr(p, parameter) for clock, parameter in known.delays.items() if clock == "command")

@@ -41,7 +41,7 @@ def main(argv: list[str]) -> int:
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
     data = f"data set: {forms}; measurements.toml in the folder (docs/search/logs.md) is what was weighed"
     add("data", type=console.path, help=data)
-    model = "the model to question: shipped name or TOML file of a fish, with its effects (default fish), or a robot in MJCF or URDF"
+    model = "the model to question: shipped name or TOML file of a fish, with its effects (default fish); MJCF or URDF of a robot"
     add("--model", type=console.text, default="fish", help=model)
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
     water = (

@@ -1,6 +1,6 @@
 """`gap find LOGS --model robot.xml`: what is missing in the simulation of a robot described in MJCF or URDF.
 
-LOGS is a folder of tables, one a log, with a column for each joint's position and each actuator's command (records/robot_logs.py).
+LOGS is a folder of tables, one a log: a column for each joint's position and each actuator's command (records/robot_logs.py).
 """
 
 import hashlib

@@ -1,7 +1,8 @@
 """A robot in MuJoCo with every effect of the robots' catalogue at each of its sites.
 
-    row      factors on its constants (mass, inertia, centre of each body; gain; stated friction), then effects: `coulomb_friction@elbow`
-    segment  starts from the logged state; u(k) is the mean of the logged command over step k, commands are held between their stamps
+    row      factors on its constants (mass, inertia, centre of each body; gain; stated friction), then effects:
+             `coulomb_friction@elbow`
+    segment  starts from the logged state; u(k) is the mean of the logged command over step k; commands hold between stamps
     reading  s q - z of each joint, at its stamp; the cubic through angles and rates of the steps
 
 The mean over a step makes the prediction smooth in a delay. A late reading is a segment that begins as much earlier, so from the
@@ -69,12 +70,16 @@ class RigidRobot(ParameterRow):
         self.placed: list[PlacedEffect] = []
         listed, first = [], 0
         for effect in effects.robot_catalogue().values() if catalogue is None else catalogue:
-            form = effect.robot
-            for site in robot.sites(form.site) if form else ():
-                listed.append(self._at(effect, form, site))
-                self.placed.append(PlacedEffect(effect, form, site, first))
-                first += len(form.parameters)
+            if effect.robot is None:
+                continue
+            for site in robot.sites(effect.robot.site):
+                listed.append(self._at(effect, effect.robot, site))
+                self.placed.append(PlacedEffect(effect, effect.robot, site, first))
+                first += len(effect.robot.parameters)
         self.active = effects.EffectStack(listed, self.joints)
+        # A semi-implicit step moves by the rate at its end, so its rates are those of half a step earlier.
+        semi_implicit = robot.model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
+        self._early = 0.5 * self.dt if semi_implicit else 0.0
         self.torque_error = self.torque_tolerance
         self.reference = self.nothing
 
@@ -134,7 +139,7 @@ class RigidRobot(ParameterRow):
             for c, other in others
             for at in ((site,) if site in self.robot.sites(other.site) else self.robot.sites(other.site))
         )
-        bare = dict.fromkeys(("servo", "gear", "fish", "flow", "body", "water", "command", "measure"))
+        bare: dict[str, Any] = dict.fromkeys(("servo", "gear", "fish", "flow", "body", "water", "command", "measure"))
         placed = form._replace(parameters=sized)
         return replace(
             effect, name=name, parameters=sized, shows=(), memory=(), handed=(), confusions=confused, robot=placed, **bare
@@ -197,7 +202,10 @@ class RigidRobot(ParameterRow):
         return [{"joint": self._shoot(record, rows, models)} for record in records]
 
     def _shoot(self, record: RobotRecord, rows: np.ndarray, models: list, moved=None, pushed=None) -> np.ndarray:
-        """(R, K, J) readings. moved: (R, 2, J) added to angles and rates at each start; pushed: (R, T, J) torques on the joints."""
+        """(R, K, J) readings.
+
+        moved: (R, 2, J) added to angles and rates at each start. pushed: (R, T, J) torques on the joints.
+        """
         places = [j.place for j in self.robot.joints]
         dofs = [j.dof for j in self.robot.joints]
         segments, steps = len(record.starts), self.steps(record)
@@ -205,7 +213,7 @@ class RigidRobot(ParameterRow):
         scale, zero = (np.stack(part)[:, None] for part in zip(*read, strict=True))
         still = np.zeros((len(rows), 2, self.joints)) if moved is None else moved
         angle = (record.angles + zero + still[:, :1]) / scale
-        rate = (record.rates + still[:, 1:]) / scale
+        rate = (record.rates - self._early * record.accelerations + still[:, 1:]) / scale
         m = self.robot.model
         start = np.zeros((len(rows), segments, 1 + m.nq + m.nv))
         start[..., [1 + p for p in places]] = angle
@@ -259,10 +267,10 @@ class RigidRobot(ParameterRow):
 
     # --------------------------------------------------------------------------------------------------------- errors of a record
     def record_errors(self, records: list[RobotRecord], layout: ResidualLayout) -> tuple[np.ndarray, ...]:
-        """Of each record (K, m_l): response to the error of each start, and to a torque at each joint that no model explains.
+        """Response (K, m_l) of each record to the error of each start, and to a torque at each joint that no model explains.
 
         The torque is the sum of hats every `spacing` s; each hat at each joint has a deviation of its own. Rows are in the order
-        of `error_groups`.
+        of `error_groups`: segment by segment.
         """
         out = []
         for i, record in enumerate(records):
@@ -287,9 +295,8 @@ class RigidRobot(ParameterRow):
 
     def error_groups(self, record: RobotRecord) -> np.ndarray:
         """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""
-        segments = len(record.starts)
-        torques = np.repeat(np.arange(self.joints), segments * len(self._hats(record)))
-        return np.concatenate([np.full(2 * self.joints * segments, self.joints), torques])
+        torques = np.repeat(np.arange(self.joints), len(self._hats(record)))
+        return np.tile([*[self.joints] * (2 * self.joints), *torques], len(record.starts))
 
     def _hats(self, record: RobotRecord) -> list[np.ndarray]:
         """Hat functions (T,) over the steps of a segment."""

@@ -1,7 +1,7 @@
 """A robot described in MJCF or URDF: its joints, actuators and moving bodies, and what the search cannot take.
 
-    robot = read_robot(Path("robot.xml"))       robot.model: mujoco.MjModel without contacts, with the delays of actuators taken out
-    site_of(robot, model, "joint", "elbow")     where an effect acts
+    robot = read_robot(Path("robot.xml"))       robot.model: MjModel without contacts and without the delays of actuators
+    robot.site(model, "joint", "elbow")         place of an effect
 
 A URDF has no actuators: each joint with a limit of effort gets a motor of that torque, under the joint's name.
 """
@@ -31,7 +31,7 @@ class RobotJoint(NamedTuple):
 
 
 class RobotSite(NamedTuple):
-    """Where an effect acts: numbers into the arrays of a model, -1 where there is no such part."""
+    """Place of an effect: numbers into the arrays of a model, -1 where there is no such part."""
 
     m: Any  # mujoco.MjModel
     joint: int = -1
@@ -118,9 +118,9 @@ def read_robot(path: Path) -> RobotDescription:
     m = working.compile()
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     of_joint = {int(m.actuator_trnid[a, 0]): a for a in range(m.nu)}
+    dofs, places, bodies = m.jnt_dofadr.tolist(), m.jnt_qposadr.tolist(), m.jnt_bodyid.tolist()
     joints = tuple(
-        RobotJoint(name_of(m, "joint", j), j, *(int(x[j]) for x in (m.jnt_dofadr, m.jnt_qposadr, m.jnt_bodyid)), of_joint.get(j, -1))
-        for j in range(m.njnt)
+        RobotJoint(name_of(m, "joint", j), j, dofs[j], places[j], bodies[j], of_joint.get(j, -1)) for j in range(m.njnt)
     )
     names = tuple(name_of(m, "actuator", a) for a in range(m.nu))
     return RobotDescription(path, spec, m, joints, names, delays, tuple(notes))
@@ -135,7 +135,7 @@ def _searchable(m, path: Path) -> None:
     faults = {
         "no joint moves": m.njnt == 0 and "a robot of one to twelve hinges or slides would work",
         f"{m.njnt} joints": m.njnt > MOST_JOINTS and f"at most {MOST_JOINTS} would work: weld the others at their logged angle",
-        "a joint that is free or a ball": bool(others) and "a base fixed to the world would work: hang the robot up, or weld its base",
+        "a joint that is free or a ball": bool(others) and "a base fixed to the world would work: weld it",
         "tendons": m.ntendon > 0 and "actuators that drive joints would work",
         "equality constraints": m.neq > 0 and "an open chain would work: cut the loop, or weld what does not move",
         "no actuator": m.nu == 0 and "a motor or position actuator for each commanded joint would work",

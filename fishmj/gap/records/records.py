@@ -9,9 +9,9 @@ position are whole free runs from the known start, so accumulated errors show. T
 accounts for the uncertainty of late times and the correlation of neighbouring values.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -235,8 +235,8 @@ class ChannelBlock(NamedTuple):
 class ResidualLayout:
     """Layout of the residual vector for a set of records. `size` is the length of the vector."""
 
-    def __init__(self, records: list[Record]):
-        self.records, self.blocks, self.size = records, [], 0
+    def __init__(self, records: Sequence[Any]):
+        self.records, self.blocks, self.size = list(records), [], 0
         for i, record in enumerate(records):
             names = CHANNELS | dict(getattr(record, "channels", {}))
             for sensor in WINDOW:

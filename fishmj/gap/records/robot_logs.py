@@ -81,7 +81,8 @@ def _column(given: Any, where: str, kind: Any) -> Any:
     try:
         found = kind.model_validate(given)
     except ValidationError as error:
-        raise LogError(f"{where}: {bare(error.errors(include_url=False)[0]['msg'], 160)}; expected the name of a column") from error
+        why = bare(error.errors(include_url=False)[0]["msg"], 160)
+        raise LogError(f"{where}: {why}; expected the name of a column") from error
     if found.column is None:
         raise LogError(f"{where}: expected the name of a column")
     return found
@@ -95,7 +96,7 @@ def guess_columns(names: Sequence[str], joints: Sequence[str], actuators: Sequen
     """
     stamps = [n for n in names if _words(n) & TIME]
     if not stamps:
-        raise LogError(f"no column of stamps among {_listed(names)}; name it in a map, --columns MAP.toml: time = \"...\"")
+        raise LogError(f'no column of stamps among {_listed(names)}; name it in a map, --columns MAP.toml: time = "..."')
     measured = _best("positions of the joints", "joint", names, joints, lambda w: _position_score(w))
     asked = _best("commands of the actuators", "actuator", names, actuators, lambda w: _command_score(w, torques))
     unit = next((UNITS[w] for w in _words(stamps[0]) if w in ("ms", "us", "ns")), "")
@@ -186,9 +187,10 @@ def robot_trial(sheet: Sheet, columns: RobotColumns) -> Trial:
     Raises:
         LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
-    missing = [c for c in (columns.time, *columns.joint.values(), *columns.actuator.values()) if c.column not in sheet.columns]
+    wanted = [columns.time.column, *(str(c.column) for part in (columns.joint, columns.actuator) for c in part.values())]
+    missing = [column for column in wanted if column not in sheet.columns]
     if missing:
-        raise LogError(f"{sheet.where}: no column {missing[0].column!r}; it has {_listed(list(sheet.columns))}")
+        raise LogError(f"{sheet.where}: no column {missing[0]!r}; it has {_listed(list(sheet.columns))}")
     t = np.asarray(sheet.columns[columns.time.column], float) * columns.time.factor
     read = lambda c: c.factor * (np.asarray(sheet.columns[c.column], float) - c.zero)
     moved, asked = (np.stack([read(c) for c in part.values()], 1) for part in (columns.joint, columns.actuator))

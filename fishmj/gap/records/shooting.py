@@ -90,11 +90,11 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
     first = window * np.ceil(max(half, t[0] + half) / window)
     starts = np.arange(first, t[-1] - length, length)
     pause = max(PAUSE, 5.0 * step)
-    breaks = t[:-1][np.diff(t) > pause]
-    whole = [s for s in starts if not np.any((breaks > s - half - pause) & (breaks < s + length))]
+    breaks = np.flatnonzero(np.diff(t) > pause)
+    whole = [s for s in starts if not np.any((t[breaks + 1] > s - half) & (t[breaks] < s + length))]
     if not whole:
-        longest = f"{t[-1] - t[0]:.2g} s with {len(breaks)} pauses"
-        raise LogError(f"log {trial.name}: no {length:g} s without a pause of {pause:.2g} s in {longest}; record it without pauses")
+        whole_log = f"{t[-1] - t[0]:.2g} s with {len(breaks)} pauses"
+        raise LogError(f"log {trial.name}: no {length:g} s without a pause of {pause:.2g} s in {whole_log}; record it anew")
     starts = np.array(whole)
     fits = [_local(t, q, s, half, degree=3) for s in starts]
     finer = [_local(t, q, s, half, degree=5) for s in starts]
@@ -146,6 +146,8 @@ def _some_of(record: RobotRecord, count: int) -> RobotRecord:
 
 
 class _LocalFit(NamedTuple):
+    """Polynomial about a time."""
+
     values: np.ndarray  # (degree + 1, J) coefficients
     residual: np.ndarray  # (J,) standard deviation
     spread: np.ndarray  # (degree + 1,) standard deviation of a coefficient for unit noise

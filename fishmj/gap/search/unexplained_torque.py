@@ -2,9 +2,9 @@
 
     all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again ..
 
-The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from its
-largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise that
-any effect would gain.
+The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
+its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
+that any effect would gain.
 
 What is left of these torques by the found effects, over what there was before, is a gate: an effect that only seems to explain
 lowers no torque.
@@ -24,10 +24,6 @@ from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 
-START = 5.0  # times the stated tolerance, from which the fit starts
-ROUNDS, STEPS, UPDATES = 4, 4, 20  # fits, steps of each, steps of the algorithm for the deviations
-TINY = 1e-12
-
 
 class UnexplainedTorque(NamedTuple):
     """(J,) N m: deviations with the model as it is, and with all effects fitted."""
@@ -38,18 +34,18 @@ class UnexplainedTorque(NamedTuple):
 
 def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar):
     """(model with the measured errors of torques, the torques). model: `RigidRobot`; null: `RobotNull`."""
-    records = list(records)
+    records, limits = list(records), thresholds().torques
     names = tuple(x.name for x in model.active.effects)
     places = tuple(range(len(model.constants), len(model.null)))
     row = model.null
-    wide = model.with_errors(START * model.torque_tolerance, row)
+    wide = model.with_errors(limits.start * model.torque_tolerance, row)
     runs = null.residuals(model, records, ResidualLayout(records), bars)
     e = Likelihood(wide, records, runs)
     before = torques(e, row)
-    with bars(ROUNDS, "torques that no effect explains", "fits") as bar:
-        for k in range(ROUNDS):
+    with bars(limits.fits, "torques that no effect explains", "fits") as bar:
+        for k in range(limits.fits):
             fit = e.subset()
-            row = fit.refine([fit.at(row, names, places)], STEPS)[0].row
+            row = fit.refine([fit.at(row, names, places)], limits.steps)[0].row
             wide = model.with_errors(np.maximum(torques(e, row), model.torque_tolerance), row)
             e = Likelihood(wide, records, runs)
             bar.update(k + 1)
@@ -73,11 +69,11 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
         channel=np.zeros(e.layout.size, int),
         residual=np.nan_to_num(residual),
     )
-    u = np.ones(joints + 1)
-    for _ in range(UPDATES):
+    u, tiny = np.ones(joints + 1), np.finfo(float).tiny ** 0.5
+    for _ in range(thresholds().torques.updates):
         told = score_variances(sample, u, np.zeros(1))
-        ratio = np.sqrt(np.maximum(told.seen[: joints + 1], TINY) / np.maximum(told.expected[: joints + 1], TINY))
-        u[:joints] = np.maximum(u[:joints] * ratio[:joints], TINY)
+        ratio = np.sqrt(np.maximum(told.seen[: joints + 1], tiny) / np.maximum(told.expected[: joints + 1], tiny))
+        u[:joints] = np.maximum(u[:joints] * ratio[:joints], tiny)
     return np.sqrt(u[:joints]) * model.torque_error
 
 
