@@ -61,12 +61,13 @@ class Parameter:
 class RobotForm(NamedTuple):
     """Form of an effect in a robot described in MJCF: one effect at each site of a kind, such as each joint.
 
-    site: one of ROBOT_SITES. parameters: bounds and typical sizes in multiples of `scale` at the site: torque [N m], damping
-    [N m s/rad], inertia [kg m2], stiffness [N m/rad], mass [kg], length [m]; "" where they are SI. Functions (None = not used):
+    site: one of ROBOT_SITES. parameters: null, bounds and typical sizes in multiples of `scale` at the site: torque [N m],
+    damping [N m s/rad], drag [N m s2/rad2], inertia [kg m2], stiffness [N m/rad], mass [kg], length [m], command [of the
+    actuator]; "" where they are SI. Functions (None = not used):
 
         fields(site, p)                     changes fields of site.m, an MjModel
         reading(p) -> (scale, zero)         a joint reads scale x angle - zero
-        command(xp, p, t, c) -> c           commands (T,) of one actuator at their stamps t (T,)
+        command(p, t, c) -> (t, c)          commands (T,) of one actuator and their stamps (T,)
 
     confusions: with other effects of such a robot.
     """
@@ -157,7 +158,8 @@ class Effect:
         wrong = set(self.shows) - set(CHANNELS) | set(self.delays | self.drifts) - set(CLOCKS)
         if wrong:
             raise ConfigError(f"effect {self.name}: unknown channels or clocks {sorted(wrong)}")
-        unknown = {*self.delays.values(), *self.drifts.values(), *self.handed} - {p.name for p in self.parameters}
+        mine = {p.name for p in (*self.parameters, *(self.robot.parameters if self.robot else ()))}
+        unknown = {*self.delays.values(), *self.drifts.values(), *self.handed} - mine
         if unknown:
             raise ConfigError(f"effect {self.name}: delays or handed name {sorted(unknown)}, which are no parameters of it")
         drawn = self.scatter is not None

@@ -59,6 +59,9 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float]:
         if known.robot.reading is not None:
             told = "an error of a sensor belongs into the reading of the logs, not into MJCF"
             raise ConfigError(f"{title(effect['name'])}: {told}")
+        if known.robot.fields is None and "command" not in known.delays:
+            told = "no attribute of MJCF holds it; change the commands on their way instead"
+            raise ConfigError(f"{title(effect['name'])}: {told}")
         if known.robot.fields is not None:
             known.robot.fields(robot.site(m, known.robot.site, site), p)
         delay += sum(getattr(p, parameter) for clock, parameter in known.delays.items() if clock == "command")

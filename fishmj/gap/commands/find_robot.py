@@ -19,6 +19,7 @@ from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.search.unexplained_torque import with_measured_errors
 from fishmj.gap.thresholds import frozen
+from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
@@ -73,7 +74,11 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     null = RobotNull(args.null_runs, args.noise, args.seed)
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
-    model, _ = with_measured_errors(RigidRobot(robot, sizes_of(robot, seen)), seen, null, progress.terminal_bar)
+    sizes = sizes_of(robot, seen)
+    inert = RigidRobot(robot, sizes).inert(seen)
+    if inert:
+        console.say(f"left out, since no reading would show them: {', '.join(sorted(map(title, inert)))}")
+    model, _ = with_measured_errors(RigidRobot(robot, sizes, without=inert), seen, null, progress.terminal_bar)
     return investigate(
         model,
         trials,

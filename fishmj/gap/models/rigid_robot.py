@@ -33,14 +33,17 @@ from fishmj.log import Trial
 AT = "@"  # between an effect's name and its site's
 AT_ONCE = 4096  # rollouts of a batch, for memory's sake
 LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
+SHORT = 0.02  # m, least size of a body
+AFTERWARDS = 1e6  # s for which the last command holds
 USUAL = 90  # percentile over the starts of all segments
 
 
 class RobotSizes(NamedTuple):
-    """Usual size of a torque [N m] and a rate [rad/s] of each joint (J,), from its logs."""
+    """Usual size of a torque [N m] and a rate [rad/s] of each joint (J,), and of each actuator's command (A,), from logs."""
 
     torque: np.ndarray
     rate: np.ndarray
+    command: np.ndarray
 
 
 class PlacedEffect(NamedTuple):
@@ -56,12 +59,19 @@ class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
+    without: names of effects at their sites that are left out.
 
     torque_error: (J,) N m, deviation of the torque at each joint that no model explains; as stated, or as measured
     (search/unexplained_torque.py). reference: (P,) row at which `record_errors` are linear.
     """
 
-    def __init__(self, robot: RobotDescription, sizes: RobotSizes, catalogue: Sequence[Effect] | None = None):
+    def __init__(
+        self,
+        robot: RobotDescription,
+        sizes: RobotSizes,
+        catalogue: Sequence[Effect] | None = None,
+        without: frozenset[str] = frozenset(),
+    ):
         self.robot, self.sizes = robot, sizes
         self.dt = robot.dt
         self.joints = len(robot.joints)
@@ -73,6 +83,8 @@ class RigidRobot(ParameterRow):
             if effect.robot is None:
                 continue
             for site in robot.sites(effect.robot.site):
+                if placed_name(effect.name, site) in without:
+                    continue
                 listed.append(self._at(effect, effect.robot, site))
                 self.placed.append(PlacedEffect(effect, effect.robot, site, first))
                 first += len(effect.robot.parameters)
@@ -130,12 +142,12 @@ class RigidRobot(ParameterRow):
 
     def _at(self, effect: Effect, form: effects.RobotForm, site: str) -> Effect:
         """The effect at one site, its sizes in SI."""
-        name = effect.name + (AT + site if site else "")
+        name = placed_name(effect.name, site)
         scale = self._scale(form, site)
         sized = tuple(_scaled(p, scale) for p in form.parameters)
         others = [(c, other.robot) for c in form.confusions if (other := effects.robot_catalogue().get(c.other)) and other.robot]
         confused = tuple(
-            replace(c, other=c.other + (AT + at if at else ""))
+            replace(c, other=placed_name(c.other, at))
             for c, other in others
             for at in ((site,) if site in self.robot.sites(other.site) else self.robot.sites(other.site))
         )
@@ -150,12 +162,16 @@ class RigidRobot(ParameterRow):
         m = self.robot.model
         if not form.scale:
             return 1.0
-        if form.scale == "mass":
-            return float(m.body_mass[self.robot.bodies[site]])
+        if form.scale in ("mass", "length"):
+            b = self.robot.bodies[site]
+            return float(m.body_mass[b]) if form.scale == "mass" else max(float(np.linalg.norm(m.body_ipos[b])), SHORT)
         i = self.robot.sites("joint").index(site)
         torque = float(np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))[i])
-        if form.scale == "damping":
-            return torque / max(float(self.sizes.rate[i]), LEAST)
+        rate = max(float(self.sizes.rate[i]), LEAST)
+        if form.scale == "command":
+            return max(float(self.sizes.command[self.robot.joints[i].actuator]), LEAST)
+        if form.scale in ("damping", "drag"):
+            return torque / rate if form.scale == "damping" else torque / rate**2
         return float(m.dof_M0[self.robot.joints[i].dof]) if form.scale == "inertia" else torque
 
     def model(self, row: np.ndarray) -> Any:
@@ -178,10 +194,27 @@ class RigidRobot(ParameterRow):
             if tuple(mine) != tuple(p.null for p in placed.form.parameters):
                 yield placed, SimpleNamespace(**{p.name: float(v) for p, v in zip(placed.form.parameters, mine, strict=True)})
 
-    def delay(self, row: np.ndarray) -> float:
-        """Delay of commands and readings together, s."""
+    def delay(self, row: np.ndarray, t: Any = 0.0) -> Any:
+        """Delay of commands and readings together at times t of a record, s."""
         parameters = list(np.asarray(row)[len(self.constants) :])
-        return float(self.active.delay(np, parameters, "command") + self.active.delay(np, parameters, "joint"))
+        return self.active.delay(np, parameters, "command", t) + self.active.delay(np, parameters, "joint", t)
+
+    def inert(self, records: Sequence[RobotRecord]) -> frozenset[str]:
+        """Names of the effects that at their usual size change no reading of the records beyond its noise."""
+        rows, owners = [], []
+        for effect in self.active.effects:
+            for p in effect.parameters:
+                for value in (p.typical[1], 2.0 * p.null - p.typical[1])[: 1 + p.signed]:
+                    row = self.nothing
+                    row[self.index(effect.name, p.name)] = np.clip(value, p.low, p.high)
+                    rows.append(row)
+                    owners.append(effect.name)
+        shown = set()
+        for record in records:
+            (told,) = self.predict([record], np.stack([self.nothing, *rows]))
+            change = np.abs(np.nan_to_num(told["joint"][1:] - told["joint"][:1], nan=np.inf)).max(1)
+            shown |= {name for name, moved in zip(owners, change, strict=True) if np.any(moved > record.joint.sigma)}
+        return frozenset(owners) - shown
 
     def _reading(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(J,) scale and zero of the joints' encoders."""
@@ -218,7 +251,7 @@ class RigidRobot(ParameterRow):
         start = np.zeros((len(rows), segments, 1 + m.nq + m.nv))
         start[..., [1 + p for p in places]] = angle
         start[..., [1 + m.nq + d for d in dofs]] = rate
-        known: dict[float, np.ndarray] = {}
+        known: dict[tuple, np.ndarray] = {}
         out = np.empty((len(rows), len(record.joint.t), self.joints))
         first = np.searchsorted(record.joint.t, record.starts)
         ends = np.append(first[1:], len(record.joint.t))
@@ -227,10 +260,11 @@ class RigidRobot(ParameterRow):
             some = range(begin, min(begin + few, len(rows)))
             control = []
             for r in some:
-                late = self.delay(rows[r])
-                if late not in known:
-                    known[late] = self._commands(record, steps, late)
-                control.append(known[late])
+                acts = tuple((placed.first, values) for placed, values in self._on_commands(rows[r]))
+                key = (*np.broadcast_to(self.delay(rows[r], np.array([0.0, 1.0])), 2).tolist(), acts)
+                if key not in known:
+                    known[key] = self._commands(record, steps, rows[r])
+                control.append(known[key])
             u = np.concatenate(control)
             spec = int(mujoco.mjtState.mjSTATE_CTRL)
             if pushed is not None:
@@ -252,16 +286,28 @@ class RigidRobot(ParameterRow):
         """Number of steps of a segment."""
         return int(np.ceil(record.length / self.dt - 1e-9)) + 1
 
-    def _commands(self, record: RobotRecord, steps: int, late: float) -> np.ndarray:
-        """(S, T, A) mean of each command over each step, `late` s after it was sent."""
-        held = np.diff(record.sent, append=record.sent[-1] + 1e6)
-        whole = np.concatenate([np.zeros((1, record.commands.shape[1])), np.cumsum(record.commands * held[:, None], 0)])
-        edges = np.append(record.sent, record.sent[-1] + 1e6)
-        t = record.starts[:, None] + self.dt * np.arange(steps + 1) - late
+    def _on_commands(self, row: np.ndarray):
+        """(placed effect, its parameters as a tuple) of the effects that change commands."""
+        for placed, p in self._present(row):
+            if placed.form.command is not None:
+                yield placed, tuple(vars(p).items())
+
+    def _commands(self, record: RobotRecord, steps: int, row: np.ndarray) -> np.ndarray:
+        """(S, T, A) mean of each command over each step, after the delay of a row."""
+        t = record.starts[:, None] + self.dt * np.arange(steps + 1)
+        t = t - self.delay(row, record.starts[:, None])
+        changes = list(self._on_commands(row))
         out = np.empty((len(record.starts), steps, record.commands.shape[1]))
         for a in range(out.shape[2]):
+            sent, asked = record.sent, record.commands[:, a]
+            mine = next((j.name for j in self.robot.joints if j.actuator == a), "")
+            for placed, values in changes:
+                if placed.site in ("", mine) and placed.form.command is not None:
+                    sent, asked = placed.form.command(SimpleNamespace(**dict(values)), sent, asked)
+            edges = np.append(sent, sent[-1] + AFTERWARDS)
+            whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
             own = t - self.robot.delays[a]
-            summed = np.interp(own, edges, whole[:, a]) + np.minimum(own - edges[0], 0.0) * record.commands[0, a]
+            summed = np.interp(own, edges, whole) + np.minimum(own - edges[0], 0.0) * asked[0]
             out[..., a] = np.diff(summed, axis=1) / self.dt
         return out
 
@@ -314,16 +360,22 @@ def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSi
     m, d = robot.model, mujoco.MjData(robot.model)
     places, dofs = [j.place for j in robot.joints], [j.dof for j in robot.joints]
     torque, rate = [], []
+    command = np.stack([np.percentile(np.abs(r.commands - r.commands.mean(0)), USUAL, axis=0) for r in records]).mean(0)
     for record in records:
         for q, v, a in zip(record.angles, record.rates, record.accelerations, strict=True):
             d.qpos[places], d.qvel[dofs], d.qacc[dofs] = q, v, a
             mujoco.mj_inverse(m, d)
             torque.append(np.abs(d.qfrc_inverse[dofs]))
             rate.append(np.abs(v))
-    return RobotSizes(np.percentile(torque, USUAL, axis=0), np.percentile(rate, USUAL, axis=0))
+    return RobotSizes(np.percentile(torque, USUAL, axis=0), np.percentile(rate, USUAL, axis=0), command)
 
 
 def _scaled(p: Parameter, scale: float) -> Parameter:
-    """The parameter with bounds and typical sizes times `scale` about its null."""
-    away = lambda x: p.null + scale * (x - p.null)
-    return replace(p, low=away(p.low), high=away(p.high), typical=(away(p.typical[0]), away(p.typical[1])))
+    """The parameter with null, bounds and typical sizes times `scale`."""
+    typical = (scale * p.typical[0], scale * p.typical[1])
+    return replace(p, null=scale * p.null, low=scale * p.low, high=scale * p.high, typical=typical)
+
+
+def placed_name(effect: str, site: str) -> str:
+    """Name of an effect at a site."""
+    return effect + (AT + site if site else "")

@@ -23,8 +23,9 @@ def patched(robot: RobotDescription, model: Any, delay: float = 0.0) -> str:
     for joint, known in zip(spec.joints, robot.joints, strict=True):
         for name, first, more in JOINT:
             place = known.joint if first.startswith("jnt") else known.dof
-            if not np.array_equal(getattr(model, first)[place], getattr(before, first)[place]):
-                setattr(joint, name, [float(getattr(model, first)[place]), *getattr(model, more)[place].ravel().tolist()])
+            now, then = ([float(getattr(x, first)[place]), *getattr(x, more)[place].tolist()] for x in (model, before))
+            if now != then:
+                setattr(joint, name, now)
         for name in ("frictionloss", "armature"):
             field = f"dof_{name}"
             if getattr(model, field)[known.dof] != getattr(before, field)[known.dof]:
@@ -50,8 +51,9 @@ def patched(robot: RobotDescription, model: Any, delay: float = 0.0) -> str:
             body.explicitinertial, body.fullinertia = True, [np.nan] * 6
             body.mass = float(model.body_mass[b])
             body.inertia, body.ipos, body.iquat = (getattr(model, f"body_{f}")[b] for f in BODY[1:])
-    if not np.array_equal(model.opt.gravity, before.opt.gravity):
-        spec.option.gravity = model.opt.gravity
+    for name in ("gravity", "wind", "density"):
+        if not np.array_equal(getattr(model.opt, name), getattr(before.opt, name)):
+            setattr(spec.option, name, getattr(model.opt, name))
     spec.compile()
     return spec.to_xml()
 
