@@ -36,16 +36,20 @@ def edited(**changes) -> str:
     return text
 
 
-def swing(text: str, seconds: float, seed: int, *, late: float = 0.0, noise: float = 2e-4, tilt: float = 0.0, zero=(0.0, 0.0)):
+def swing(
+    text: str, seconds: float, seed: int, *, noise=2e-4, late=0.0, hold=0.0, step=0.0, tilt=0.0, zero=0.0, scale=1.0, rate=1.0
+):
     """(t, commands, readings) of one log: motors driven by sums of sines, encoders at 250 Hz.
 
-    late: s that commands are late. tilt: rad about y of gravity. zero: rad of each encoder.
+    late, hold: s that commands are late, and held. step: N m of quantised commands. tilt: rad about y of gravity.
+    zero, scale: of the encoders, rad and 1. rate: of the readings' clock.
     """
     m = mujoco.MjModel.from_xml_string(text)
     g = m.opt.gravity[2]
     m.opt.gravity[:] = -g * np.sin(tilt), 0.0, g * np.cos(tilt)
     d, rng = mujoco.MjData(m), np.random.default_rng(seed)
-    steps, dt = round(seconds / 0.002), 0.002
+    dt = 0.002
+    steps = round(seconds / dt)
     t = dt * np.arange(steps)
     rates, phases = rng.uniform(0.3, 2.2, (2, 4)), rng.uniform(0, 6.28, (2, 4))
     size = np.array([1.1, 0.45])[:, None] * rng.dirichlet(np.ones(4), 2) * 1.6
@@ -53,10 +57,12 @@ def swing(text: str, seconds: float, seed: int, *, late: float = 0.0, noise: flo
     q = np.empty((steps, 2))
     for k in range(steps):
         q[k] = d.qpos
-        d.ctrl[:] = asked[max(k - round(late / dt), 0)]
+        sent = max(k - round(late / dt), 0)
+        u = asked[sent - sent % round(hold / dt) if hold else sent]
+        d.ctrl[:] = np.where(np.asarray(step) > 0, step * np.round(u / np.maximum(step, 1e-9)), u)
         mujoco.mj_step(m, d)
-    read = q[::2] - np.asarray(zero) + noise * rng.standard_normal((len(q[::2]), 2))
-    return t, asked, read
+    read = np.stack([np.interp(t / rate, t, column) for column in q.T], 1)
+    return t, asked, (scale * read - np.asarray(zero) + noise * rng.standard_normal(q.shape))[::2]
 
 
 def write_logs(folder: Path, text: str, logs: int = 4, seconds: float = 5.0, seed: int = 0, **hidden) -> Path:
