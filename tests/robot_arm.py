@@ -9,10 +9,10 @@ ARM = """<mujoco model="arm">
   <option timestep="0.002" integrator="implicitfast"/>
   <worldbody>
     <body name="upper">
-      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.02"/>
+      <joint name="shoulder" type="hinge" axis="0 1 0" damping="0.06"/>
       <inertial pos="0 0 -0.2" mass="0.6" diaginertia="0.004 0.004 0.0005"/>
       <body name="lower" pos="0 0 -0.3">
-        <joint name="elbow" type="hinge" axis="0 1 0" damping="0.01"/>
+        <joint name="elbow" type="hinge" axis="0 1 0" damping="0.02"/>
         <inertial pos="0.02 0 -0.15" mass="0.4" diaginertia="0.003 0.003 0.0003"/>
       </body>
     </body>
@@ -52,7 +52,7 @@ def swing(
     steps = round(seconds / dt)
     t = dt * np.arange(steps)
     rates, phases = rng.uniform(0.3, 2.2, (2, 4)), rng.uniform(0, 6.28, (2, 4))
-    size = np.array([1.1, 0.45])[:, None] * rng.dirichlet(np.ones(4), 2) * 1.6
+    size = np.array([0.8, 0.25])[:, None] * rng.dirichlet(np.ones(4), 2) * 1.6
     asked = np.sum(size[..., None] * np.sin(2 * np.pi * rates[..., None] * t + phases[..., None]), 1).T
     q = np.empty((steps, 2))
     for k in range(steps):

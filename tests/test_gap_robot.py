@@ -56,7 +56,7 @@ def misfit(model, records, row) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------------- descriptions
 REFUSED = {
-    "a ball": ('<joint name="shoulder" type="hinge" axis="0 1 0" damping="0.02"/>', '<freejoint name="shoulder"/>'),
+    "a ball": ('<joint name="shoulder" type="hinge" axis="0 1 0" damping="0.06"/>', '<freejoint name="shoulder"/>'),
     "tendons": ("<actuator>", '<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon><actuator>'),
     "equality": ("<actuator>", '<equality><joint joint1="elbow" joint2="shoulder"/></equality><actuator>'),
     "several actuators": ("</actuator>", '<motor name="two" joint="elbow"/></actuator>'),
@@ -210,14 +210,14 @@ MOTOR = '<motor name="elbow" joint="elbow" ctrlrange="-4 4"/>'
 OFFSET = MOTOR.replace("<motor", '<general gaintype="fixed" gainprm="1" biastype="affine" biasprm="0.05"')
 HIDDEN = {  # effect at its site -> (value, robot)
     "coulomb_friction@elbow": ({"torque": 0.06}, {"text": edited(elbow_joint='frictionloss="0.06"')}),
-    "viscous_friction@shoulder": ({"damping": 0.1}, {"text": ARM.replace('damping="0.02"', 'damping="0.12"')}),
+    "viscous_friction@shoulder": ({"damping": 0.1}, {"text": ARM.replace('damping="0.06"', 'damping="0.16"')}),
     "rotor_inertia@elbow": ({"inertia": 0.004}, {"text": edited(elbow_joint='armature="0.004"')}),
     "joint_stiffness@shoulder": ({"stiffness": 0.3}, {"text": edited(shoulder_joint='stiffness="0.3"')}),
     "servo_gain@shoulder": ({"gain": -0.2}, {"text": ARM.replace('joint="shoulder" ctrl', 'joint="shoulder" gear="0.8" ctrl')}),
     "command_latency": ({"delay": 0.02}, {"text": ARM, "late": 0.02}),
     "joint_zero_offset@shoulder": ({"offset": 0.04}, {"text": ARM, "zero": (0.04, 0.0)}),
     "base_tilt": ({"pitch": 0.05, "roll": 0.0}, {"text": ARM, "tilt": 0.05}),
-    "quadratic_friction@elbow": ({"drag": 0.01}, {"text": ARM.replace('damping="0.01"', 'damping="0.01 0.01 0"')}),
+    "quadratic_friction@elbow": ({"drag": 0.01}, {"text": ARM.replace('damping="0.02"', 'damping="0.02 0.01 0"')}),
     "torque_saturation@shoulder": ({"limit": 0.4}, {"text": ARM.replace('range="-6 6"', 'range="-6 6" forcerange="-0.4 0.4"')}),
     "com_offset@lower": ({"x": 0.02, "y": 0.0, "z": -0.03}, {"text": ARM.replace("0.02 0 -0.15", "0.04 0 -0.18")}),
     "payload@lower": ({"mass": 0.05}, {"text": ARM.replace(TIP, TIP + LOAD)}),

@@ -12,13 +12,15 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
+from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
 from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.search.unexplained_torque import with_measured_errors
-from fishmj.gap.thresholds import frozen
+from fishmj.gap.thresholds import frozen, thresholds
+from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
 
@@ -44,11 +46,15 @@ def find(args: Any) -> int:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
     with interrupt.keeping(lambda: AGAIN):
         inquiry = search(robot, trials, args)
-        console.say(inquiry.verdict.text())
+        told = told_of(inquiry)
+        console.say(inquiry.verdict.text(), *(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
+        console.say(f"  {place_of(inquiry).text}")
         if args.out:
-            console.say(f"written: {', '.join(write(inquiry, args.out, context_of(args, robot, files)))}")
+            args.out.mkdir(parents=True, exist_ok=True)
+            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files)})
+            console.say("written: verdict.json")
     if args.json:
-        console.emit_json(inquiry.verdict.plain() | {"skipped": broken, "notes": list(robot.notes)})
+        console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
     return console.OK
 
 
@@ -71,6 +77,8 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
 
 def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     """Searches the logs."""
+    own = thresholds().torques
+    gates = replace(frozen(), gain=own.gain, min_joint_gain=own.min_joint_gain)
     null = RobotNull(args.null_runs, args.noise, args.seed)
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
@@ -82,7 +90,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     return investigate(
         model,
         trials,
-        gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
+        gates=gates if args.most is None else replace(gates, max_effects=args.most),
         null=null,
         mass_known=False,
         seed=args.seed,
@@ -109,8 +117,27 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path]) -> dict:
     }
 
 
-def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
-    """Writes verdict.json; returns the names of the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "verdict.json", inquiry.verdict.plain() | {"context": context})
-    return ["verdict.json"]
+def by_effect(verdict: Verdict) -> dict[str, str]:
+    """NAMED or CLASS for each effect of the answer: one may be certain beside another that is not; {} for other answers."""
+    if verdict.answer not in ("NAMED", "CLASS"):
+        return {}
+    doubted = {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
+    doubted |= {e.name for e in verdict.effects for w in verdict.warnings if w.startswith(title(e.name))}
+    return {e.name: "CLASS" if e.name in doubted else "NAMED" for e in verdict.effects}
+
+
+def place_of(inquiry: Inquiry) -> RobotLocalisation:
+    """Place of the gap of the model as it is."""
+    e = inquiry.evidence
+    residual = e.layout.residuals(e.model.predict(e.records, e.model.null))[0]
+    rates = dict(zip(e.model.robot.sites("joint"), e.model.sizes.rate.tolist(), strict=True))
+    return localise_robot(e.layout, residual, e.scale, rates)
+
+
+def told_of(inquiry: Inquiry) -> dict:
+    """The answer for JSON: the verdict, the answer for each effect, and the place of the gap."""
+    place = place_of(inquiry)
+    return inquiry.verdict.plain() | {
+        "by_effect": by_effect(inquiry.verdict),
+        "localisation": place._asdict() | {"text": place.text},
+    }
