@@ -18,8 +18,9 @@ from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.unexplained_torque import with_measured_errors
-from fishmj.gap.thresholds import frozen, thresholds
+from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
@@ -52,7 +53,8 @@ def find(args: Any) -> int:
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
             write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files)})
-            console.say("written: verdict.json")
+            page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
+            console.say(f"written: verdict.json, {page}")
     if args.json:
         console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
     return console.OK
@@ -77,8 +79,7 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
 
 def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     """Searches the logs."""
-    own = thresholds().torques
-    gates = replace(frozen(), gain=own.gain, min_joint_gain=own.min_joint_gain)
+    gates = robot_gates()
     null = RobotNull(args.null_runs, args.noise, args.seed)
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
@@ -98,6 +99,12 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         bars=progress.terminal_bar,
         notes=robot.notes,
     )
+
+
+def robot_gates() -> Gates:
+    """The gates for a robot in MJCF, whose noise is measured from its own logs."""
+    own = thresholds().torques
+    return replace(frozen(), gain=own.gain, min_joint_gain=own.min_joint_gain)
 
 
 def digest(path: Path) -> str:
