@@ -1,5 +1,7 @@
 """`gap find LOGS --model robot.xml`: descriptions, logs, effects and patches of robots in MJCF. All logs are *synthetic*."""
 
+import json
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from robot_arm import ARM, edited, swing, write_logs
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
+from fishmj.gap.commands import check, find, reported
 from fishmj.gap.commands.apply_robot import apply_robot, changed, next_version
 from fishmj.gap.commands.find_robot import by_effect, digest, place_of, robot_gates
 from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
@@ -352,6 +355,27 @@ def test_apply_refuses_a_changed_description(arm, tmp_path):
         apply_robot(tmp_path, verdict, None, False)
 
 
+def test_report_on_a_robot_is_checked_before_use(arm, tmp_path):
+    verdict = verdict_of(arm, "NAMED", named("coulomb_friction@elbow", torque=0.06))
+    verdict["effects"][0]["parameters"]["torque"]["value"] = "much"
+    (tmp_path / "verdict.json").write_text(json.dumps(verdict))
+    with pytest.raises(ConfigError, match="effects.0.parameters.torque.value"):
+        reported.robot_verdict(tmp_path)
+    with pytest.raises(ConfigError, match="gap apply takes"):
+        reported.verdict(tmp_path, context=False)
+
+
+def test_commands_of_fish_refuse_a_robot_in_one_line(arm, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("t,pos1,pos2,cmd1,cmd2\n0,0,0,0,0\n0.01,0,0,0,0\n")
+    with pytest.raises(ConfigError, match="--water is of fish"):
+        find.main([str(log), "--model", str(arm.path), "--water", "swift"])
+    with pytest.raises(ConfigError, match="gap find .* says what it still lacks"):
+        check.main([str(arm.path), "--data", str(log)])
+    with pytest.raises(LogError, match="--yes"):
+        find.main([str(log), "--model", str(arm.path)])
+
+
 # ---------------------------------------------------------------------------------------------------------------------- catalogue
 def test_robot_effects_leave_the_fish_alone():
     fish, robots = effects.catalogue(), effects.robot_catalogue()
@@ -394,14 +418,14 @@ def test_search_names_the_hidden_friction(sticky):
 
 
 def test_healthy_arm_agrees(folder, arm):
-    logs = write_logs(folder / "well", ARM, logs=3, seconds=2.6, seed=4)
+    logs = write_logs(folder / "well", ARM, logs=3, seconds=2.0, seed=4)
     assert search_among(arm, logs, "coulomb_friction", "viscous_friction").verdict.answer == "AGREES"
 
 
 def test_torque_of_no_effect_is_unexplained(folder, arm):
     """A torque at the elbow of another form than any effect in question: a spring beyond an angle."""
     text = edited(elbow_joint='range="-0.3 0.3" limited="true" solreflimit="0.3 1"')
-    logs = write_logs(folder / "stop", text, logs=3, seconds=2.6, seed=2)
+    logs = write_logs(folder / "stop", text, logs=3, seconds=2.0, seed=2)
     assert search_among(arm, logs, "torque_offset", "rotor_inertia").verdict.answer == "UNEXPLAINED"
 
 

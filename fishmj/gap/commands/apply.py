@@ -15,15 +15,13 @@ from typing import NamedTuple
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import read_json, write_text
+from fishmj.base.store import write_text
 from fishmj.engines import own_effects
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.check import gaps
-from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, pair, title
-from fishmj.log.trial import look_up
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
@@ -69,8 +67,9 @@ def main(argv: list[str]) -> int:
         aside = model_version.revert(args.revert)
         console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
         return console.OK
-    verdict = read_json(args.report / "verdict.json" if args.report.is_dir() else args.report)
-    if isinstance(verdict, dict) and is_robot(look_up(verdict, "context.model", "")):
+    from fishmj.gap.commands import reported
+
+    if verdict := reported.robot_verdict(args.report):
         from fishmj.gap.commands.apply_robot import apply_robot
 
         written = ApplyOutcome(**apply_robot(args.report, verdict, args.out, args.force))

@@ -41,9 +41,9 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     names = ", ".join(title(e["name"]) for e in named)
     origin = f"<!-- {answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name} -->\n"
     write_text(version, text.replace("\n", "\n" + origin, 1) if text.startswith("<?xml") else origin + text)
-    gaps = pair(float(verdict["gap_before"]), float(verdict["gap_after"]))
-    before, after = (float(x) for x in verdict["over_floor"]["searched"])
-    reason = f"{gaps} on the records searched; the residual falls from {level(before)} to {level(after)} floors"
+    reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
+    if floors := verdict["over_floor"].get("searched"):
+        reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} floors"
     return told | {"path": version, "accepted": True, "reason": reason, "mjcf": difference(robot, text)}
 
 
@@ -55,6 +55,8 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float]:
         known = effects.robot_catalogue().get(name)
         if known is None or known.robot is None:
             raise ConfigError(f"{name!r} is no effect of a robot in MJCF; known: {', '.join(effects.robot_catalogue())}")
+        if set(effect["parameters"]) != {p.name for p in known.robot.parameters} or site not in robot.sites(known.robot.site):
+            raise ConfigError(f"{effect['name']!r}: not an effect of {robot.path.name} with its parameters; search again")
         p = SimpleNamespace(**{key: float(value["value"]) for key, value in effect["parameters"].items()})
         if known.robot.reading is not None:
             told = "an error of a sensor belongs into the reading of the logs, not into MJCF"

@@ -3,6 +3,8 @@
     fishmj gap find DATA --model my_fish.toml --out report
     fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF; LOGS is a folder of tables
 
+MAP.toml of --columns, for such a robot: time = "t"; [joint] elbow = { column = "q2", unit = "deg" }; [actuator] elbow = "tau2"
+
 Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap too large for any effect.
 """
 
@@ -59,7 +61,7 @@ def main(argv: list[str]) -> int:
     most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
-    columns = "which column of a log of a robot in MJCF is which (docs: your MuJoCo robot); default: guessed from the names"
+    columns = "which column of a log of a robot in MJCF is which; default: guessed from the names"
     add("--columns", type=console.path, metavar="MAP.toml", help=columns)
     add("--yes", action="store_true", help="take the guessed columns without being asked")
     own_effects.option(parser)

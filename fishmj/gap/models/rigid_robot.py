@@ -61,9 +61,12 @@ class RigidRobot(ParameterRow):
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
     without: names of effects at their sites that are left out.
 
-    torque_error: (J,) N m, deviation of the torque at each joint that no model explains; as stated, or as measured
-    (search/unexplained_torque.py). reference: (P,) row at which `record_errors` are linear.
+    screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
+    each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
+    `record_errors` are linear.
     """
+
+    screened_records = 2
 
     def __init__(
         self,
