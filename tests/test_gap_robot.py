@@ -323,10 +323,10 @@ def step_from(m) -> np.ndarray:
     return d.qvel.copy()
 
 
-def verdict_of(arm, answer: str, *found: dict) -> dict:
+def verdict_of(arm, answer: str, *found: dict, **each: str) -> dict:
     context = {"model": str(arm.path), "model_sha256": digest(arm.path)}
     gaps = {"gap_before": 9.0, "gap_after": 1.0, "over_floor": {"searched": [5.0, 1.0]}}
-    return {"answer": answer, "effects": list(found), "context": context} | gaps
+    return {"answer": answer, "effects": list(found), "context": context, "by_effect": each} | gaps
 
 
 def test_apply_writes_the_next_version(arm, tmp_path):
@@ -341,6 +341,25 @@ def test_apply_writes_the_next_version(arm, tmp_path):
 def test_apply_leaves_what_is_not_named(arm, tmp_path):
     told = apply_robot(tmp_path, verdict_of(arm, "CLASS", named("coulomb_friction@elbow", torque=0.06)), None, False)
     assert not told["accepted"] and told["path"] is None and not list(tmp_path.iterdir())
+
+
+def test_apply_takes_the_certain_part_of_a_class(arm, tmp_path):
+    found = named("coulomb_friction@elbow", torque=0.06), named("viscous_friction@shoulder", damping=0.1)
+    each = {"coulomb_friction@elbow": "NAMED", "viscous_friction@shoulder": "CLASS"}
+    told = apply_robot(tmp_path, verdict_of(arm, "CLASS", *found, **each), None, False)
+    again = read_robot(told["path"]).model
+    assert again.dof_frictionloss.tolist() == [0.0, 0.06]
+    np.testing.assert_array_equal(again.dof_damping, arm.model.dof_damping)
+
+
+def test_logs_with_contact_are_refused(folder, records, tmp_path):
+    """A plate where the arm swings."""
+    path = tmp_path / "robot.xml"
+    plate = '<worldbody><geom type="box" size="0.5 0.5 0.05" pos="0 0 -0.5"/>'
+    path.write_text(ARM.replace("<worldbody>", plate).replace(TIP, TIP + '<geom type="sphere" size="0.05" pos="0 0 -0.2"/>'))
+    with pytest.raises(LogError, match="touch") as told:
+        read_robot(path).check_contact(records)
+    assert "\n" not in str(told.value)
 
 
 def test_apply_refuses_an_encoder_as_mjcf(arm, tmp_path):

@@ -28,10 +28,15 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     path = Path(verdict["context"]["model"])
     if not path.is_file() or digest(path) != verdict["context"]["model_sha256"]:
         raise ConfigError(f"{path}: changed since the search, or gone; search again, or restore the model it questioned")
-    answer, named = verdict["answer"], verdict["effects"]
+    answer, each = verdict["answer"], verdict["by_effect"]
+    named = [e for e in verdict["effects"] if force or each.get(e["name"], answer) == "NAMED"]
     told = {"path": None, "accepted": False, "gap_before": verdict["gap_before"], "gap_after": verdict["gap_after"], "mjcf": ""}
-    if not named or (answer != "NAMED" and not force):
-        why = "no effect to add" if not named else "no effect explains the gap for certain; --force adds the tentative ones"
+    if not named:
+        why = (
+            "no effect explains the gap for certain; --force adds the tentative ones"
+            if verdict["effects"]
+            else "no effect to add"
+        )
         return told | {"reason": f"{answer}: {why}; {path.name} stays as it is"}
     robot = read_robot(path)
     text = patched(robot, *changed(robot, named))

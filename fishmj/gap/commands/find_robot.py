@@ -83,6 +83,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     null = RobotNull(args.null_runs, args.noise, args.seed)
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
+    robot.check_contact(seen)
     sizes = sizes_of(robot, seen)
     inert = RigidRobot(robot, sizes).inert(seen)
     if inert:

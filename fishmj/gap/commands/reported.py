@@ -104,6 +104,7 @@ class _RobotContext(_ReportTable):
 class _RobotVerdict(_ReportTable):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
     effects: list[_RobotEffect]
+    by_effect: dict[str, Literal["NAMED", "CLASS"]] = {}
     context: _RobotContext
     gap_before: Finite
     gap_after: Finite

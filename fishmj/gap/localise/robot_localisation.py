@@ -25,6 +25,8 @@ class RobotLocalisation(NamedTuple):
     @property
     def text(self) -> str:
         """The shares in a line."""
+        if not any(self.joints.values()):
+            return "no residual is above the floor"
         parts = []
         for joint, share in sorted(self.joints.items(), key=lambda pair: -pair[1]):
             most = max(self.motions[joint], key=lambda motion: self.motions[joint][motion])

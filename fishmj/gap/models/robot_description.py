@@ -6,6 +6,7 @@
 A URDF has no actuators: each joint with a limit of effort gets a motor of that torque, under the joint's name.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,9 +14,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from fishmj.base.errors import ConfigError
+from fishmj.base.errors import ConfigError, LogError
 
 MOST_JOINTS = 12
+CONTACTS = 0.05  # share of the logged states in which bodies may touch
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
@@ -63,6 +65,19 @@ class RobotDescription:
         m = self.model
         moving = [b for b in range(1, m.nbody) if m.body_weldid[b] != 0 and m.body_mass[b] > 0]
         return {name_of(m, "body", b): b for b in moving}
+
+    def check_contact(self, records: Sequence[Any]) -> None:
+        """Raises LogError if bodies touch at more than a few starts of the segments of records: contacts are left out."""
+        m = self.spec.copy().compile()
+        d = mujoco.MjData(m)
+        touching = []
+        for angles in np.concatenate([record.angles for record in records]):
+            d.qpos[[j.place for j in self.joints]] = angles
+            mujoco.mj_fwdPosition(m, d)
+            touching.append(any(d.contact.dist < 0.0))
+        if np.mean(touching) > CONTACTS:
+            often = f"bodies of {self.path.name} touch in {100 * np.mean(touching):.0f} % of the logged states"
+            raise LogError(f"{often}, and the search leaves contacts out; record where it moves freely, or correct its geoms")
 
     def sites(self, kind: str) -> tuple[str, ...]:
         """Names of the sites of a kind: joint, actuator (under its joint's name), body or robot."""
