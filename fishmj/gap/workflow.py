@@ -193,7 +193,7 @@ def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 
 
 def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Veto for a robot in MJCF: torques that nothing explains get smaller, else UNEXPLAINED."""
+    """Veto for a robot in MJCF: torques that nothing explains get smaller where an effect acts, else it is not named."""
     model = inquiry.evidence.model
     if not hasattr(model, "torque_tolerance"):
         return verdict

@@ -6,8 +6,8 @@ The search then asks which few effects do as well as all of them together, as Ma
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
 that any effect would gain.
 
-What is left of these torques by the found effects, over what there was before, is a gate: an effect that only seems to explain
-lowers no torque.
+What is left of these torques by the found effects, over what there was before, is a gate, joint by joint: an effect that only
+seems to explain lowers no torque.
 """
 
 from collections.abc import Sequence
@@ -78,7 +78,10 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
 
 
 def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
-    """Veto: the found effects halve the torques that nothing explains, or leave no more than is tolerated; else UNEXPLAINED.
+    """Veto: an effect at a joint halves the mean square of the torque there that nothing explains, others that of all joints.
+
+    Else it is counted in, not named; without another one the answer is UNEXPLAINED. A torque within what is allowed is none. What
+    is left beside a name is a warning.
 
     names: of the joints. Not for a model without such torques.
     """
@@ -91,13 +94,19 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     verdict = replace(verdict, gates=told)
     allowed = limits.allowed * model.torque_tolerance
     left = {n: x for n, x, most in zip(names, after, allowed, strict=True) if x > most}
-    if not left:
+    if not left or verdict.answer not in ("AGREES", "NAMED", "CLASS"):
         return verdict
     words = " and ".join(f"{quantity(x, 'N m')} at {title(n)}" for n, x in left.items())
     if verdict.answer == "AGREES":
         return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect of the catalogue explains")
-    share = float(np.sqrt(np.mean((after / allowed) ** 2) / np.mean((before / allowed) ** 2)))
-    if verdict.answer not in ("NAMED", "CLASS") or share <= limits.share:
-        return verdict
-    why = f"{percent(share)} of the torques that nothing explains are left ({words}); the best is tentative"
-    return replace(verdict, answer="UNEXPLAINED", reason=why)
+    shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
+    everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
+    share = {found.name: shares.get(found.name.partition("@")[2], everywhere) for found in verdict.effects}
+    kept = tuple(found for found in verdict.effects if share[found.name] <= limits.share)
+    rest = f"torques of {words} are left that no effect explains"
+    if not kept:
+        least = percent(min(share.values()))
+        why = f"{least} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
+        return replace(verdict, answer="UNEXPLAINED", reason=why)
+    others = tuple(found for found in verdict.effects if found not in kept)
+    return replace(verdict, effects=kept, tentative=(*verdict.tentative, *others), warnings=(*verdict.warnings, rest))
