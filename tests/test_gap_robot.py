@@ -292,6 +292,47 @@ def test_channels_of_the_residual_are_the_joints(records):
     assert set(ResidualLayout(records).channel.tolist()) == {"shoulder", "elbow"}
 
 
+# -------------------------------------------------------------------------------------------------------------- position servos
+SERVO = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="arm">
+<joint name="hip" type="hinge" axis="0 1 0" damping="0.02"/><inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.003 0.003 0.0003"/>
+</body></worldbody><actuator><position name="hip" joint="hip" kp="8" kv="0.3"/></actuator></mujoco>"""
+SERVOS = {  # effect at its site -> (value, robot, rad of the encoder)
+    "servo_gain@hip": ({"gain": 0.5}, SERVO.replace('kp="8" kv="0.3"', 'kp="12" kv="0.45"'), 0.0),
+    "servo_damping_gain@hip": ({"gain": 1.0}, SERVO.replace('kv="0.3"', 'kv="0.6"'), 0.0),
+    "joint_zero_offset@hip": ({"offset": 0.1}, SERVO, 0.1),
+}
+
+
+@pytest.mark.parametrize("name", SERVOS)
+def test_servo_effect_is_the_edited_servo(name, tmp_path):
+    """A position servo, which closes its loop on the encoder."""
+    values, text, zero = SERVOS[name]
+    path = tmp_path / "servo.xml"
+    path.write_text(SERVO)
+    robot = read_robot(path)
+    m = mujoco.MjModel.from_xml_string(text)
+    d, q, t = mujoco.MjData(m), [], 0.002 * np.arange(1500)
+    asked = 0.6 * np.sin(5 * t) + 0.4 * np.sin(13 * t)
+    for u in asked:
+        q.append(d.qpos[0] - zero)
+        d.ctrl[0] = u + zero
+        mujoco.mj_step(m, d)
+    read = np.array(q) + 1e-4 * np.random.default_rng(0).standard_normal(len(q))
+    tables = {"cmd": {"t": t, "c1": asked}, "joint": {"t": t, "j1": read}}
+    record = robot_record(SimpleTrial(tables), robot.dt, robot.sites("joint"))
+    model = RigidRobot(robot, sizes_of(robot, [record]))
+    row = model.null
+    for parameter, value in values.items():
+        row[model.index(name, parameter)] = value
+    without, with_it = misfit(model, [record], model.null), misfit(model, [record], row)
+    assert with_it[0] < min(0.005, without[0] / 3.0), (without, with_it)
+
+
+def test_column_of_a_position_servo_is_a_position():
+    found = guess_columns(["time", "hip_pos", "hip_pos_target", "hip_torque"], ("hip",), ("hip",), torques=False)
+    assert found.joint["hip"].column == "hip_pos" and found.actuator["hip"].column == "hip_pos_target"
+
+
 # ------------------------------------------------------------------------------------------------------------------------ patches
 def named(name: str, **values: float) -> dict:
     return {"name": name, "parameters": {key: {"value": value, "low": value, "high": value} for key, value in values.items()}}
