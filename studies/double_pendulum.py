@@ -4,9 +4,9 @@
     fishmj gap find DIR/design_A.0 --model OUT/A.0_2.0_bare.xml --columns OUT/tau_meas.toml --out REPORT
 
 DIR holds design_*/model_*.yml and logs of github.com/dfki-ric-underactuated-lab/double_pendulum (BSD-3), commit 1e8544e.
-*_full.xml has friction, damping and rotor inertia as stated, *_bare.xml none of them. Moments of inertia are about the joint there: models whose
-links would have none about their own centre are left out. OUT/tau_meas.toml takes the measured torque for the command,
-OUT/tau_con.toml the commanded one.
+*_full.xml has friction, damping and rotor inertia as stated, *_bare.xml none of them. Moments of inertia are about the joint
+there: models whose links would have none about their own centre are left out. OUT/tau_meas.toml takes the measured torque for
+the command, OUT/tau_con.toml the commanded one.
 """
 
 import argparse

@@ -80,7 +80,9 @@ def main(argv: list[str]) -> int:
         console.say(written.mjcf.rstrip("\n"))
     if written.hooks:
         console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
-    if written.accepted:
+    if written.accepted and verdict:
+        console.say(f"search again with it: fishmj gap find {args.data or 'LOGS'} --model {written.path}")
+    elif written.accepted:
         console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
     if args.json:
         console.emit_json(written._asdict())
