@@ -292,7 +292,6 @@ def test_channels_of_the_residual_are_the_joints(records):
     assert set(ResidualLayout(records).channel.tolist()) == {"shoulder", "elbow"}
 
 
-# -------------------------------------------------------------------------------------------------------------- position servos
 SERVO = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="arm">
 <joint name="hip" type="hinge" axis="0 1 0" damping="0.02"/><inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.003 0.003 0.0003"/>
 </body></worldbody><actuator><position name="hip" joint="hip" kp="8" kv="0.3"/></actuator></mujoco>"""
@@ -436,7 +435,6 @@ def test_commands_of_fish_refuse_a_robot_in_one_line(arm, tmp_path):
         find.main([str(log), "--model", str(arm.path)])
 
 
-# ---------------------------------------------------------------------------------------------------------------------- catalogue
 def test_robot_effects_leave_the_fish_alone():
     fish, robots = effects.catalogue(), effects.robot_catalogue()
     assert not [e.name for e in fish.values() if not e.swims]
