@@ -6,25 +6,33 @@
 Domain randomisation draws from these entries, a calibration lists them, and the discrepancy workflow may name them.
 """
 
+from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter
+from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter, RobotForm
 from fishmj.effects.stack import EffectStack
 
 
 @cache
 def catalogue() -> dict[str, Effect]:
-    """All effects by name, in order of stage, then of name."""
-    found = {}
+    """All effects of a fish by name, in order of stage, then of name."""
+    return {effect.name: effect for effect in _read() if effect.swims}
+
+
+@cache
+def robot_catalogue() -> dict[str, Effect]:
+    """All effects of a robot described in MJCF by name, in order of stage, then of name."""
+    return {effect.name: effect for effect in _read() if effect.robot is not None}
+
+
+def _read() -> Iterator[Effect]:
     for stage in STAGES:
         room = import_module(f"fishmj.effects.{stage}")
         for module in sorted(m.name for m in iter_modules(room.__path__)):
-            effect = import_module(f"{room.__name__}.{module}").EFFECT
-            found[effect.name] = effect
-    return found
+            yield import_module(f"{room.__name__}.{module}").EFFECT
 
 
 def join(effect: Effect) -> None:
@@ -44,4 +52,16 @@ def get(name: str) -> Effect:
     return catalogue()[name]
 
 
-__all__ = ["CHANNELS", "STAGES", "EffectStack", "Confusion", "Effect", "Parameter", "catalogue", "get", "join"]
+__all__ = [
+    "CHANNELS",
+    "STAGES",
+    "Confusion",
+    "Effect",
+    "EffectStack",
+    "Parameter",
+    "RobotForm",
+    "catalogue",
+    "get",
+    "join",
+    "robot_catalogue",
+]

@@ -90,10 +90,11 @@ CLASSES = (
 
 
 def containing(effect: str) -> tuple[AmbiguityClass, ...]:
-    """The classes that an effect belongs to."""
-    return tuple(c for c in CLASSES if effect in c.effects)
+    """The classes that an effect, also one at a site of a robot, belongs to."""
+    return tuple(c for c in CLASSES if effect.partition("@")[0] in c.effects)
 
 
 def together(one: str, other: str) -> AmbiguityClass | None:
     """The class that holds both effects, or None."""
-    return next((c for c in containing(one) if other in c.effects), None)
+    name, _, site = other.partition("@")
+    return next((c for c in containing(one) if name in c.effects and one.partition("@")[2] == site), None)

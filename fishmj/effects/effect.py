@@ -7,6 +7,7 @@ compiled form, JAX, the beat-averaged body and the servo on a bench.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from fishmj.base.errors import ConfigError, UnknownName
 
@@ -14,6 +15,7 @@ STAGES = ("actuator", "timing", "inertia", "hydrodynamics", "environment", "meas
 CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
 CLOCKS = ("command", "joint", "pose", "power", "velocity")  # what a transport delay may delay
 STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
+ROBOT_SITES = ("joint", "actuator", "body", "robot")  # where an effect acts in a robot described in MJCF
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +58,29 @@ class Parameter:
         return self.typical[1]
 
 
+class RobotForm(NamedTuple):
+    """Form of an effect in a robot described in MJCF: one effect at each site of a kind, such as each joint.
+
+    site: one of ROBOT_SITES. parameters: null, bounds and typical sizes in multiples of `scale` at the site: torque [N m],
+    damping [N m s/rad], drag [N m s2/rad2], inertia [kg m2], stiffness [N m/rad], mass [kg], length [m], command [of the
+    actuator]; "" where they are SI. Functions (None = not used):
+
+        fields(site, p)                     changes fields of site.m, an MjModel
+        reading(p) -> (scale, zero)         a joint reads scale x angle - zero
+        command(p, t, c) -> (t, c)          commands (T,) of one actuator and their stamps (T,)
+
+    confusions: with other effects of such a robot.
+    """
+
+    site: str
+    parameters: tuple[Parameter, ...]
+    scale: str = ""
+    fields: Callable | None = None
+    reading: Callable | None = None
+    command: Callable | None = None
+    confusions: tuple["Confusion", ...] = ()
+
+
 @dataclass(frozen=True)
 class Confusion:
     """Another effect with a similar signature, and the experiment that tells them apart."""
@@ -91,6 +116,7 @@ class Effect:
         stores      it gives back energy that it took, as a spring: it may push
         unplanted   why the second robot (gap/laboratory/virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
+    robot: its form in a robot described in MJCF; None: it has none. An effect of such robots only has no parameters of its own.
     stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
         scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stack.py).
     """
@@ -124,6 +150,7 @@ class Effect:
     stores: bool = False
     unplanted: str = ""
     planted: str = ""
+    robot: RobotForm | None = None
 
     def __post_init__(self):
         if self.stage not in STAGES:
@@ -131,7 +158,8 @@ class Effect:
         wrong = set(self.shows) - set(CHANNELS) | set(self.delays | self.drifts) - set(CLOCKS)
         if wrong:
             raise ConfigError(f"effect {self.name}: unknown channels or clocks {sorted(wrong)}")
-        unknown = {*self.delays.values(), *self.drifts.values(), *self.handed} - {p.name for p in self.parameters}
+        mine = {p.name for p in (*self.parameters, *(self.robot.parameters if self.robot else ()))}
+        unknown = {*self.delays.values(), *self.drifts.values(), *self.handed} - mine
         if unknown:
             raise ConfigError(f"effect {self.name}: delays or handed name {sorted(unknown)}, which are no parameters of it")
         drawn = self.scatter is not None
@@ -139,10 +167,17 @@ class Effect:
             raise ConfigError(
                 f"effect {self.name}: a stochastic effect has scatter and a stream of {', '.join(STREAMS)}; no other has"
             )
-        if len(self.sites) + len(self.delays) == 0 and not drawn:
+        if self.robot is not None and self.robot.site not in ROBOT_SITES:
+            raise ConfigError(f"effect {self.name}: robot site {self.robot.site!r}; choose one of {', '.join(ROBOT_SITES)}")
+        if not self.swims and self.robot is None:
             raise ConfigError(f"effect {self.name}: acts at no site")
         if self.memory and len(self.remembering) != 1:
             raise ConfigError(f"effect {self.name}: memory belongs to one site, got {self.sites}")
+
+    @property
+    def swims(self) -> bool:
+        """Returns True if a fish can have it."""
+        return bool(self.sites or self.delays or self.stochastic)
 
     @property
     def sites(self) -> tuple[str, ...]:

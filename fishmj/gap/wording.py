@@ -14,7 +14,7 @@ PLAIN = 1e6  # from here on numbers are written with an exponent
 
 def title(name: str) -> str:
     """An effect's id, or several with + between, as words."""
-    return " and ".join(part.strip().replace("_", " ") for part in name.split("+"))
+    return " and ".join(part.strip().replace("_", " ").replace("@", " at ") for part in name.split("+"))
 
 
 def sentence(text: str) -> str:

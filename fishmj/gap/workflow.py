@@ -4,17 +4,19 @@ read -> null runs -> forward selection -> gates -> free forces -> repeatable? ->
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
 from fishmj.gap.null.null_runs import SimulatedNull
+from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.records import Record
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
@@ -40,7 +42,7 @@ class Inquiry:
     trials: list[Trial]
     records: list[Record]
     unseen: np.ndarray
-    null: SimulatedNull
+    null: Any  # SimulatedNull, or RobotNull of a robot in MJCF
     swims: Likelihood | None
     further: bool
     seed: int
@@ -65,7 +67,7 @@ def investigate(
     trials: list[Trial],
     *,
     gates: Gates | None = None,
-    null: SimulatedNull | None = None,
+    null: SimulatedNull | RobotNull | None = None,
     page: dict | None = None,
     mass_known: bool = True,
     healthy: HealthySwims | None = None,
@@ -91,12 +93,12 @@ def investigate(
     """
     gates = gates or frozen()
     null = null or SimulatedNull()
-    records = [record_of(t, model.dt) for t in trials]
+    records = model.records(trials)
     if len(records) < 2:
         raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")
     compile_kernel(model, say)
-    say(f"null: {null.runs} runs of every record in an independent simulator with nothing hidden")
+    say(f"null: {null.text}")
     unseen = set_aside(records, seed)
     seen = [r for r, u in zip(records, unseen, strict=True) if not u]
     weighed = mass_properties.sensor(page or {}, model, mass_known)
@@ -120,14 +122,14 @@ def investigate(
 
 def compile_kernel(model, say: Callable[[str], None]) -> None:
     """Compiles the model's step to machine code, and reports the duration, which no bar's time left includes."""
-    if "kernel" not in vars(model):
+    if hasattr(type(model), "kernel") and "kernel" not in vars(model):
         say("compiling the model's kernel: some 12 s on one core the first time, then cached")
         begin = time.monotonic()
         _ = model.kernel
         say(f"compiled in {time.monotonic() - begin:.1f} s")
 
 
-def set_aside(records: list[Record], seed: int) -> np.ndarray:
+def set_aside(records: Sequence, seed: int) -> np.ndarray:
     """(L,) bool: a quarter of many records, none of few."""
     aside = np.zeros(len(records), bool)
     if len(records) >= thresholds().workflow.set_aside_from:
@@ -190,8 +192,22 @@ def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     return replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
 
 
+def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto for a robot in MJCF: torques that nothing explains get smaller where an effect acts, else it is not named."""
+    model = inquiry.evidence.model
+    if not hasattr(model, "torque_tolerance"):
+        return verdict
+    from fishmj.gap.search import unexplained_torque
+
+    names = tuple(joint.name for joint in model.robot.joints)
+    return unexplained_torque.require_smaller_torques(verdict, inquiry.evidence, inquiry.found.best.row, names)
+
+
 # Row 20 to 22 of the gates on docs/search/gap.md, in its order; what only adds to the verdict stands where it is needed.
-VETOES = (challenge_by_free_forces, require_repeatability, propose_experiment, describe_by_terms, ask_unseen_records)
+VETOES = (
+    *(challenge_by_free_forces, require_repeatability, propose_experiment, describe_by_terms),
+    *(require_smaller_torques, ask_unseen_records),
+)
 
 
 def unrepeatable(trials: list[Trial], e: Likelihood) -> str:

@@ -1,12 +1,19 @@
 """Commands come in coarse steps."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+import numpy as np
+
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def command(xp, p, value, memory, h):
     """c' = q floor(c / q + 1/2)."""
     size = xp.where(p.step > 0.0, p.step, 1.0)
     return xp.where(p.step > 0.0, size * xp.floor(value / size + 0.5), value), memory
+
+
+def robot_command(p, t, c):
+    """c' = q round(c / q), for a whole record."""
+    return t, p.step * np.floor(c / p.step + 0.5)
 
 
 EFFECT = Effect(
@@ -22,5 +29,11 @@ EFFECT = Effect(
         Confusion("gear_backlash", "stairs all along the way, not only at reversals", ("slow_triangle",)),
     ),
     command=command,
+    robot=RobotForm(
+        site="actuator",
+        scale="command",
+        parameters=(Parameter(name="step", unit="N m or rad", low=0.0, high=2.0, typical=(0.05, 0.3)),),
+        command=robot_command,
+    ),
     rank=1,
 )

@@ -1,12 +1,17 @@
 """Coulomb friction of the gear train."""
 
 from fishmj.effects.dry_friction import AT_REST, apply_dry_friction
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def gear(xp, p, g, memory, h):
     """Friction of at most F_c, sticking at rest."""
     return apply_dry_friction(xp, lambda speed: p.torque, g, memory, h)
+
+
+def fields(site, p):
+    """MuJoCo's own dry friction."""
+    site.m.dof_frictionloss[site.dof] += p.torque
 
 
 EFFECT = Effect(
@@ -24,4 +29,11 @@ EFFECT = Effect(
     ),
     memory=AT_REST,
     gear=gear,
+    robot=RobotForm(
+        site="joint",
+        scale="torque",
+        parameters=(Parameter(name="torque", unit="N m", low=0.0, high=1.0, typical=(0.02, 0.15)),),
+        fields=fields,
+        confusions=(Confusion("viscous_friction", "friction error does not depend on speed: move slowly, then fast"),),
+    ),
 )

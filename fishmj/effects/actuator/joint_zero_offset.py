@@ -1,6 +1,6 @@
 """Encoders read zero where the joint is not straight."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 OFFSETS = ("offset1", "offset2", "offset3")
 
@@ -21,6 +21,18 @@ def measure(xp, p, seen):
     return seen._replace(joint=seen.joint - offsets)
 
 
+def fields(site, p):
+    """A controller in the motor closes its loop on the encoder."""
+    if site.actuator >= 0:
+        m, a = site.m, site.actuator
+        m.actuator_biasprm[a, 0] -= m.actuator_biasprm[a, 1] * m.actuator_gear[a, 0] * p.offset
+
+
+def reading(p):
+    """Encoder: angle - o."""
+    return 1.0, p.offset
+
+
 EFFECT = Effect(
     name="joint_zero_offset",
     stage="actuator",
@@ -38,4 +50,10 @@ EFFECT = Effect(
     ),
     servo=servo,
     measure=measure,
+    robot=RobotForm(
+        site="joint",
+        parameters=(Parameter(name="offset", unit="rad", low=-0.5, high=0.5, typical=(0.01, 0.06)),),
+        fields=fields,
+        reading=reading,
+    ),
 )

@@ -1,11 +1,16 @@
 """Viscous friction of the gear train."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def gear(xp, p, g, memory, h):
     """tau = -D w, taken implicitly."""
     return g._replace(resist=g.resist + p.damping), memory
+
+
+def fields(site, p):
+    """MuJoCo's own linear damping."""
+    site.m.dof_damping[site.dof] += p.damping
 
 
 EFFECT = Effect(
@@ -23,4 +28,11 @@ EFFECT = Effect(
         Confusion("speed_limit", "acts at every torque, not only near the limit", ("chirp", "steps")),
     ),
     gear=gear,
+    robot=RobotForm(
+        site="joint",
+        scale="damping",
+        parameters=(Parameter(name="damping", unit="N m s/rad", low=0.0, high=1.0, typical=(0.02, 0.15)),),
+        fields=fields,
+        confusions=(Confusion("coulomb_friction", "error grows with speed: move slowly, then fast"),),
+    ),
 )

@@ -1,6 +1,6 @@
 """The fish is heavier: trapped water, payload."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def fish(xp, p, c):
@@ -15,6 +15,13 @@ def fish(xp, p, c):
     )
     head, *others = c.swimmer.mass
     return c._replace(chain=chain, swimmer=c.swimmer._replace(mass=[head, *(share * x for x in others)]))
+
+
+def fields(site, p):
+    """m' = m + dm, inertia alike, the centre where it is."""
+    m = site.m
+    m.body_inertia[site.body] *= 1.0 + p.mass / m.body_mass[site.body]
+    m.body_mass[site.body] += p.mass
 
 
 EFFECT = Effect(
@@ -40,4 +47,10 @@ EFFECT = Effect(
         Confusion("quadratic_drag", "steady speed is the same", ("gait", "burst_and_coast")),
     ),
     fish=fish,
+    robot=RobotForm(
+        site="body",
+        scale="mass",
+        parameters=(Parameter(name="mass", unit="kg", low=-0.9, high=5.0, typical=(0.1, 0.5)),),
+        fields=fields,
+    ),
 )

@@ -1,11 +1,16 @@
 """The centre of mass lies elsewhere along the head."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def fish(xp, p, c):
     """s_0' = s_0 + x: the head link's centre of mass, which carries battery and electronics."""
     return c._replace(chain=c.chain._replace(com=(c.chain.com[0] + p.x, *c.chain.com[1:])))
+
+
+def fields(site, p):
+    """Place of a body's centre of mass in the body's frame."""
+    site.m.body_ipos[site.body] += p.x, p.y, p.z
 
 
 EFFECT = Effect(
@@ -23,4 +28,10 @@ EFFECT = Effect(
         Confusion("marker_offset", "the joints' commands move it", ("spin", "impulse")),
     ),
     fish=fish,
+    robot=RobotForm(
+        site="body",
+        scale="length",
+        parameters=tuple(Parameter(name=n, unit="m", low=-1.0, high=1.0, typical=(0.03, 0.2)) for n in "xyz"),
+        fields=fields,
+    ),
 )

@@ -1,6 +1,6 @@
 """Commands arrive later than the model believes."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 EFFECT = Effect(
     name="command_latency",
@@ -16,4 +16,5 @@ EFFECT = Effect(
         Confusion("servo_gain", "a delay's phase grows with frequency without changing amplitude", ("chirp",)),
     ),
     delays={"command": "delay"},
+    robot=RobotForm(site="robot", parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.2, typical=(0.003, 0.03)),)),
 )

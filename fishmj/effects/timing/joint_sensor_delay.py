@@ -1,6 +1,6 @@
 """Encoder readings arrive late."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 EFFECT = Effect(
     name="joint_sensor_delay",
@@ -17,4 +17,5 @@ EFFECT = Effect(
         Confusion("clock_offset", "camera and power keep their phase to the commands", ("impulse",)),
     ),
     delays={"joint": "delay"},
+    robot=RobotForm(site="robot", parameters=(Parameter(name="delay", unit="s", low=0.0, high=0.2, typical=(0.003, 0.03)),)),
 )

@@ -67,13 +67,22 @@ def main(argv: list[str]) -> int:
         aside = model_version.revert(args.revert)
         console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
         return console.OK
-    written = apply(args.report, args.out, args.data, args.force, args.counted_in)
+    from fishmj.gap.commands import reported
+
+    if verdict := reported.robot_verdict(args.report):
+        from fishmj.gap.commands.apply_robot import apply_robot
+
+        written = ApplyOutcome(**apply_robot(args.report, verdict, args.out, args.force))
+    else:
+        written = apply(args.report, args.out, args.data, args.force, args.counted_in)
     console.say(written.reason, *([f"written: {written.path}"] if written.path else []))
     if written.mjcf:
         console.say(written.mjcf.rstrip("\n"))
     if written.hooks:
         console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
-    if written.accepted:
+    if written.accepted and verdict:
+        console.say(f"search again with it: fishmj gap find {args.data or 'LOGS'} --model {written.path}")
+    elif written.accepted:
         console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
     if args.json:
         console.emit_json(written._asdict())

@@ -14,6 +14,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.engines import own_effects
 from fishmj.gap.commands import admission, gap_options, model_version
+from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, null_of
 from fishmj.gap.records.datasets import digest, trials_in, trials_named
@@ -38,6 +39,9 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
     gap_options.there(args.model, args.data)
+    if is_robot(args.model):
+        told = f"fishmj gap find {args.data} --model {args.model} says what it still lacks"
+        raise ConfigError(f"gap check: a fish's version is checked; for a robot in MJCF, {told}")
     found = check(args.model, args.data, args.same_robot)
     console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
     if found["worse"]:

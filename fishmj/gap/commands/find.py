@@ -1,6 +1,9 @@
 """`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
 
     fishmj gap find DATA --model my_fish.toml --out report
+    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF; LOGS is a folder of tables
+
+MAP.toml of --columns, for such a robot: time = "t"; [joint] elbow = { column = "q2", unit = "deg" }; [actuator] elbow = "tau2"
 
 Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap too large for any effect.
 """
@@ -18,6 +21,7 @@ from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.commands.check import measured
+from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
 from fishmj.gap.search import healthy_swims
@@ -39,7 +43,7 @@ def main(argv: list[str]) -> int:
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
     data = f"data set: {forms}; measurements.toml in the folder (docs/search/logs.md) is what was weighed"
     add("data", type=console.path, help=data)
-    model = "the model to question: shipped name or TOML file, with its effects (default fish)"
+    model = "the model to question: shipped name or TOML file of a fish, with its effects (default fish); MJCF or URDF of a robot"
     add("--model", type=console.text, default="fish", help=model)
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
     water = (
@@ -57,8 +61,16 @@ def main(argv: list[str]) -> int:
     most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
+    columns = "which column of a log of a robot in MJCF is which; default: guessed from the names"
+    add("--columns", type=console.path, metavar="MAP.toml", help=columns)
+    add("--yes", action="store_true", help="take the guessed columns without being asked")
     own_effects.option(parser)
     args = parser.parse_args(argv)
+    if is_robot(args.model):
+        from fishmj.gap.commands.find_robot import find
+
+        gap_options.there(args.columns, args.data)
+        return find(args)
     args.null = args.null and shipped(args.null)
     gap_options.there(args.null, args.healthy, args.data if left_out(args.data) else None)
     own_effects.join(args.effects)

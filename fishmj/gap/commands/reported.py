@@ -11,7 +11,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from fishmj import effects
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.store import read_json
+from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import LAST_SEED, LOUDEST, MOST_RUNS, RUNS
+from fishmj.log.trial import look_up
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Text = Annotated[str, Field(max_length=4096)]
@@ -89,6 +91,26 @@ class _Applied(_Verdict):
     gap_after: Finite
 
 
+class _RobotEffect(_ReportTable):
+    name: Text
+    parameters: dict[str, _Value]
+
+
+class _RobotContext(_ReportTable):
+    model: Text
+    model_sha256: Sha256
+
+
+class _RobotVerdict(_ReportTable):
+    answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
+    effects: list[_RobotEffect]
+    by_effect: dict[str, Literal["NAMED", "CLASS"]] = {}
+    context: _RobotContext
+    gap_before: Finite
+    gap_after: Finite
+    over_floor: dict[str, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = {}
+
+
 class _Version(_ReportTable):
     parent_text: Text
     parent_sha256: Sha256
@@ -107,10 +129,31 @@ def verdict(report: Path, *, context: bool) -> dict[str, Any]:
     """
     path = report / "verdict.json" if report.is_dir() else report
     found = read_json(path)
+    if of_robot(found):
+        raise ConfigError(f"{path}: of a robot in MJCF, which fishmj gap apply takes; its page says what separates effects")
     told = _checked(_Applied if context else _Verdict, found, str(path), "fishmj gap find DATA --out FOLDER")
     if context and told.context is None:
         raise ConfigError(f"{path}: no verdict with its context; write it with: fishmj gap find DATA --out FOLDER")
     return {**found, **told.model_dump(exclude_none=True)}
+
+
+def of_robot(found: object) -> bool:
+    """Returns True for the contents of a report on a robot in MJCF."""
+    return isinstance(found, dict) and is_robot(look_up(found, "context.model", ""))
+
+
+def robot_verdict(report: Path) -> dict[str, Any] | None:
+    """The verdict on a robot in MJCF from a report's folder or verdict.json; None for a report on a fish.
+
+    Raises:
+        StoreError: no such file, or not JSON. ConfigError: not written by gap find; names the field.
+    """
+    path = report / "verdict.json" if report.is_dir() else report
+    found = read_json(path)
+    if not of_robot(found):
+        return None
+    writes = "fishmj gap find LOGS --model robot.xml --out FOLDER"
+    return _checked(_RobotVerdict, found, str(path), writes).model_dump()
 
 
 def version(facts: dict, model: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ damping: back-EMF, controller, grease) are SI here, not factors.
 """
 
 import hashlib
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -23,7 +24,8 @@ from fishmj.base.units import G
 from fishmj.effects.sites import SensorReadings
 from fishmj.gap.models.kernel import Kernel, hermite, linear
 from fishmj.gap.records import mass_properties
-from fishmj.gap.records.records import Record
+from fishmj.gap.records.records import Record, record_of
+from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
@@ -98,6 +100,10 @@ class SwimmingFish(ParameterRow):
     def null(self) -> np.ndarray:
         """(P,) row of the present model: with the effects that its description lists."""
         return self.row(self.robot)
+
+    def records(self, trials: Sequence[Trial]) -> list[Record]:
+        """The trials, ready to be predicted. Raises LogError."""
+        return [record_of(trial, self.dt) for trial in trials]
 
     def row(self, robot: Robot) -> np.ndarray:
         """(P,) row of another description's effects on this fish; effects outside this model's catalogue are left out."""

@@ -65,6 +65,11 @@ class SimulatedNull:
     without: str | tuple[str, ...] = ""  # family whose fish take no part
     session: int = 0
 
+    @property
+    def text(self) -> str:
+        """Words for the runs."""
+        return f"{self.runs} runs of every record in an independent simulator with nothing hidden"
+
     def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
         """(n, m) residuals of the present model on every null run, at the windows of `layout`. bars: of new runs."""
         self.prepare(model, records, bars)

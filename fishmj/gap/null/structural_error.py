@@ -109,13 +109,14 @@ def applies(model) -> bool:
 def of(
     model, records, layout, null: np.ndarray, leftover: np.ndarray, given: StructuralErrorScales, moved: "Tangents | None" = None
 ) -> StructuralError:
-    """The structural error of records; zero for a model to which it does not apply.
+    """The structural error of records; for a model to which it does not apply, the errors of single records that it states.
 
     Args:
         null: (n, m) residuals of null runs. leftover: (m,) D^1/2 without it. moved: tangents of these records, if known.
     """
     if not applies(model):
-        return StructuralError(np.zeros((0, layout.size)), (), np.zeros(layout.size))
+        alone = model.record_errors(records, layout) if hasattr(model, "record_errors") else ()
+        return StructuralError(np.zeros((0, layout.size)), alone, np.zeros(layout.size))
     share = np.array([given.channels.get(str(c), 0.0) for c in layout.channel])
     variance = (share * smooth(np.sqrt(np.mean(null**2, 0)), layout)) ** 2
     moved = moved or tangents(strips_of(model, tuple(given.effects)), records, layout, given.effects)

@@ -9,9 +9,9 @@ position are whole free runs from the known start, so accumulated errors show. T
 accounts for the uncertainty of late times and the correlation of neighbouring values.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -223,7 +223,7 @@ class ChannelBlock(NamedTuple):
     record: int
     sensor: str
     column: int
-    channel: str  # joint, position, heading, power, start, weighing
+    channel: str  # joint, position, heading, power, start, weighing; of a robot in MJCF: the name of the joint
     t: np.ndarray  # (n,) middle of each average, s
     window: np.ndarray  # (n,) number of each average since t = 0
     where: slice  # in the vector
@@ -235,9 +235,10 @@ class ChannelBlock(NamedTuple):
 class ResidualLayout:
     """Layout of the residual vector for a set of records. `size` is the length of the vector."""
 
-    def __init__(self, records: list[Record]):
-        self.records, self.blocks, self.size = records, [], 0
+    def __init__(self, records: Sequence[Any]):
+        self.records, self.blocks, self.size = list(records), [], 0
         for i, record in enumerate(records):
+            names = CHANNELS | dict(getattr(record, "channels", {}))
             for sensor in WINDOW:
                 given = getattr(record, sensor, None)
                 if given is None:
@@ -246,7 +247,7 @@ class ResidualLayout:
                 window, first, counts = np.unique(number, return_index=True, return_counts=True)
                 t = np.add.reduceat(given.t, first) / counts
                 for column in np.flatnonzero(np.isfinite(given.values).any(0)).tolist():
-                    channel = CHANNELS[sensor][column % len(CHANNELS[sensor])]
+                    channel = names[sensor][column % len(names[sensor])]
                     where = slice(self.size, self.size + len(counts))
                     sigma = float(given.sigma[column])
                     self.blocks.append(ChannelBlock(i, sensor, column, channel, t, window, where, first, counts, sigma))

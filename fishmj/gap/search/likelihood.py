@@ -361,5 +361,6 @@ def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:
     """Share of draws that each candidate (C, L) wins."""
     draws = thresholds().likelihood.bootstrap_draws
     weights = np.random.default_rng(seed).dirichlet(np.ones(per_record.shape[1]), draws)
-    winners = np.argmin(weights @ per_record.T, 1)
-    return np.bincount(winners, minlength=len(per_record)) / draws
+    totals = weights @ per_record.T
+    winners = totals == totals.min(1, keepdims=True)  # effects that are the same by construction share a draw
+    return np.mean(winners / winners.sum(1, keepdims=True), 0)

@@ -320,7 +320,7 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
 def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
     whole = e.subset()
-    few = e.subset(informative_records(base, e.layout))
+    few = e.subset(informative_records(base, e.layout, getattr(e.model, "screened_records", None)))
     one = e.subset(informative_records(base, e.layout, 1))
     fine = one.grid_search(on_records(one, base), effects)
     likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]

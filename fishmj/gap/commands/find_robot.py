@@ -1,0 +1,152 @@
+"""`gap find LOGS --model robot.xml`: what is missing in the simulation of a robot described in MJCF or URDF.
+
+LOGS is a folder of tables, one a log: a column for each joint's position and each actuator's command (records/robot_logs.py).
+"""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fishmj.base import console, interrupt
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.store import write_json
+from fishmj.gap import progress
+from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
+from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.robot_description import RobotDescription, read_robot
+from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
+from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.report.robot_page import write_robot_page
+from fishmj.gap.search.unexplained_torque import with_measured_errors
+from fishmj.gap.thresholds import Gates, frozen, thresholds
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.wording import title
+from fishmj.gap.workflow import Inquiry, investigate, set_aside
+
+FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
+AGAIN = "the same command begins anew"
+
+
+def find(args: Any) -> int:
+    """Answers the command. args: of `gap find`. Returns the exit code."""
+    for option, usual in FISH_ONLY.items():
+        if getattr(args, option, usual) not in (usual, []):
+            raise ConfigError(f"gap find: --{option.replace('_', '-')} is of fish; leave it out with --model {args.model}")
+    path = Path(args.model)
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
+    robot = read_robot(path)
+    files = log_files(args.data)
+    columns = columns_of(args, robot, files)
+    trials, broken = read_robot_logs(files, columns)
+    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
+        console.warn(note)
+    if len(trials) < 2:
+        raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
+    with interrupt.keeping(lambda: AGAIN):
+        inquiry = search(robot, trials, args)
+        told = told_of(inquiry)
+        console.say(inquiry.verdict.text(), *(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
+        console.say(f"  {place_of(inquiry).text}")
+        if args.out:
+            args.out.mkdir(parents=True, exist_ok=True)
+            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files)})
+            page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
+            console.say(f"written: verdict.json, {page}")
+    if args.json:
+        console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
+    return console.OK
+
+
+def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotColumns:
+    """Columns of the map, or guessed, shown and confirmed. Raises LogError."""
+    joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
+    if args.columns:
+        return read_columns(args.columns, joints, actuators)
+    sheet = read_sheet(files[0])
+    torques = not robot.model.actuator_biasprm[:, 1].any()
+    try:
+        found = guess_columns(list(sheet.columns), joints, actuators, torques)
+    except LogError as error:
+        raise LogError(f"{sheet.where}: {error}") from error
+    console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
+    if not args.yes and not console.confirmed("Is that right?"):
+        raise LogError("gap find: the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+    return found
+
+
+def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
+    """Searches the logs."""
+    gates = robot_gates()
+    null = RobotNull(args.null_runs, args.noise, args.seed)
+    records = robot_records(trials, robot.dt, robot.sites("joint"))
+    seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
+    robot.check_contact(seen)
+    sizes = sizes_of(robot, seen)
+    inert = RigidRobot(robot, sizes).inert(seen)
+    if inert:
+        console.say(f"left out, since no reading would show them: {', '.join(sorted(map(title, inert)))}")
+    model, _ = with_measured_errors(RigidRobot(robot, sizes, without=inert), seen, null, progress.terminal_bar)
+    return investigate(
+        model,
+        trials,
+        gates=gates if args.most is None else replace(gates, max_effects=args.most),
+        null=null,
+        mass_known=False,
+        seed=args.seed,
+        say=console.say,
+        bars=progress.terminal_bar,
+        notes=robot.notes,
+    )
+
+
+def robot_gates() -> Gates:
+    """The gates for a robot in MJCF, whose noise is measured from its own logs."""
+    own = thresholds().torques
+    further = own.min_gain_per_sample
+    return replace(frozen(), gain=own.gain, min_joint_gain=own.min_joint_gain, min_gain_per_sample=further)
+
+
+def digest(path: Path) -> str:
+    """sha256 of a description's text."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def context_of(args: Any, robot: RobotDescription, files: list[Path]) -> dict:
+    """Inputs of the search, for gap apply."""
+    whole = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+    return {
+        "model": str(robot.path.resolve()),
+        "model_sha256": digest(robot.path),
+        "data": str(args.data.resolve()),
+        "data_sha256": whole,
+        "null": {"runs": args.null_runs, "noise": args.noise, "seed": args.seed},
+    }
+
+
+def by_effect(verdict: Verdict) -> dict[str, str]:
+    """NAMED or CLASS for each effect of the answer: one may be certain beside another that is not; {} for other answers."""
+    if verdict.answer not in ("NAMED", "CLASS"):
+        return {}
+    doubted = {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
+    doubted |= {e.name for e in verdict.effects for w in verdict.warnings if w.startswith(title(e.name))}
+    return {e.name: "CLASS" if e.name in doubted else "NAMED" for e in verdict.effects}
+
+
+def place_of(inquiry: Inquiry) -> RobotLocalisation:
+    """Place of the gap of the model as it is."""
+    e = inquiry.evidence
+    residual = e.layout.residuals(e.model.predict(e.records, e.model.null))[0]
+    rates = dict(zip(e.model.robot.sites("joint"), e.model.sizes.rate.tolist(), strict=True))
+    return localise_robot(e.layout, residual, e.scale, rates)
+
+
+def told_of(inquiry: Inquiry) -> dict:
+    """The answer for JSON: the verdict, the answer for each effect, and the place of the gap."""
+    place = place_of(inquiry)
+    return inquiry.verdict.plain() | {
+        "by_effect": by_effect(inquiry.verdict),
+        "localisation": place._asdict() | {"text": place.text},
+    }

@@ -1,0 +1,163 @@
+"""A robot described in MJCF or URDF: its joints, actuators and moving bodies, and what the search cannot take.
+
+    robot = read_robot(Path("robot.xml"))       robot.model: MjModel without contacts and without the delays of actuators
+    robot.site(model, "joint", "elbow")         place of an effect
+
+A URDF has no actuators: each joint with a limit of effort gets a motor of that torque, under the joint's name.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from fishmj.base.errors import ConfigError, LogError
+
+MOST_JOINTS = 12
+CONTACTS = 0.05  # share of the logged states in which bodies may touch
+SUFFIXES = (".xml", ".mjcf", ".urdf")
+
+
+class RobotJoint(NamedTuple):
+    """One hinge or slide. actuator: its number, -1 without one."""
+
+    name: str
+    joint: int
+    dof: int
+    place: int  # in qpos
+    body: int
+    actuator: int
+
+
+class RobotSite(NamedTuple):
+    """Place of an effect: numbers into the arrays of a model, -1 where there is no such part."""
+
+    m: Any  # mujoco.MjModel
+    joint: int = -1
+    dof: int = -1
+    actuator: int = -1
+    body: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDescription:
+    """A robot. delays: (nu,) s of its actuators, which the search applies to the commands itself. notes: what was assumed."""
+
+    path: Path
+    spec: Any  # mujoco.MjSpec, as read
+    model: Any  # mujoco.MjModel
+    joints: tuple[RobotJoint, ...]
+    actuators: tuple[str, ...]
+    delays: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dt(self) -> float:
+        """Time step of the model, s."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def bodies(self) -> dict[str, int]:
+        """Name -> number of each moving body with a mass."""
+        m = self.model
+        moving = [b for b in range(1, m.nbody) if m.body_weldid[b] != 0 and m.body_mass[b] > 0]
+        return {name_of(m, "body", b): b for b in moving}
+
+    def check_contact(self, records: Sequence[Any]) -> None:
+        """Raises LogError if bodies touch at more than a few starts of the segments of records: contacts are left out."""
+        m = self.spec.copy().compile()
+        d = mujoco.MjData(m)
+        touching = []
+        for angles in np.concatenate([record.angles for record in records]):
+            d.qpos[[j.place for j in self.joints]] = angles
+            mujoco.mj_fwdPosition(m, d)
+            touching.append(any(d.contact.dist < 0.0))
+        if np.mean(touching) > CONTACTS:
+            often = f"bodies of {self.path.name} touch in {100 * np.mean(touching):.0f} % of the logged states"
+            raise LogError(f"{often}, and the search leaves contacts out; record where it moves freely, or correct its geoms")
+
+    def sites(self, kind: str) -> tuple[str, ...]:
+        """Names of the sites of a kind: joint, actuator (under its joint's name), body or robot."""
+        if kind == "joint":
+            return tuple(j.name for j in self.joints)
+        if kind == "actuator":
+            return tuple(j.name for j in self.joints if j.actuator >= 0)
+        return tuple(self.bodies) if kind == "body" else ("",)
+
+    def site(self, model: Any, kind: str, name: str) -> RobotSite:
+        """One site in a copy of the model."""
+        if kind in ("joint", "actuator"):
+            j = next(j for j in self.joints if j.name == name)
+            return RobotSite(model, j.joint, j.dof, j.actuator, j.body)
+        return RobotSite(model, body=self.bodies[name]) if kind == "body" else RobotSite(model)
+
+
+def is_robot(model: object) -> bool:
+    """Returns True if a model is a file in MJCF or URDF by its name."""
+    return Path(str(model)).suffix.lower() in SUFFIXES
+
+
+def name_of(m, kind: str, number: int) -> str:
+    """Name of a joint, actuator or body, or its kind and number without one."""
+    obj = {"joint": mujoco.mjtObj.mjOBJ_JOINT, "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR, "body": mujoco.mjtObj.mjOBJ_BODY}[kind]
+    return (mujoco.mj_id2name(m, obj, number) or f"{kind}{number + 1}").replace("+", "_").replace("@", "_")
+
+
+def read_robot(path: Path) -> RobotDescription:
+    """Reads a description.
+
+    Raises:
+        ConfigError: not a model, or one that the search cannot take; one line that says what would work.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        raw = spec.copy().compile()
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        raise ConfigError(f"{path}: no MJCF or URDF that MuJoCo can compile: {' '.join(str(error).split())[:200]}") from error
+    notes = []
+    working = spec.copy()
+    if raw.nu == 0 and path.suffix.lower() == ".urdf":
+        notes.append(f"{path.name} names no actuators: each of its joints gets a motor of its own, in N m")
+        for made in (spec, working):
+            for joint in made.joints:
+                motor = made.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+                motor.set_to_motor()
+        raw = spec.copy().compile()
+    _searchable(raw, path)
+    delays = np.array(raw.actuator_delay, float)
+    for actuator in working.actuators:
+        actuator.delay, actuator.nsample = 0.0, 0
+    m = working.compile()
+    m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    of_joint = {int(m.actuator_trnid[a, 0]): a for a in range(m.nu)}
+    dofs, places, bodies = m.jnt_dofadr.tolist(), m.jnt_qposadr.tolist(), m.jnt_bodyid.tolist()
+    joints = tuple(
+        RobotJoint(name_of(m, "joint", j), j, dofs[j], places[j], bodies[j], of_joint.get(j, -1)) for j in range(m.njnt)
+    )
+    names = tuple(name_of(m, "actuator", a) for a in range(m.nu))
+    return RobotDescription(path, spec, m, joints, names, delays, tuple(notes))
+
+
+def _searchable(m, path: Path) -> None:
+    """Raises ConfigError for what the search cannot take."""
+    hinged = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
+    joint_driven = [int(kind) for kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
+    driven = [int(m.actuator_trnid[a, 0]) for a in range(m.nu) if m.actuator_trntype[a] in joint_driven]
+    others = [j for j in range(m.njnt) if m.jnt_type[j] not in hinged]
+    faults = {
+        "no joint moves": m.njnt == 0 and "a robot of one to twelve hinges or slides would work",
+        f"{m.njnt} joints": m.njnt > MOST_JOINTS and f"at most {MOST_JOINTS} would work: weld the others at their logged angle",
+        "a joint that is free or a ball": bool(others) and "a base fixed to the world would work: weld it",
+        "tendons": m.ntendon > 0 and "actuators that drive joints would work",
+        "equality constraints": m.neq > 0 and "an open chain would work: cut the loop, or weld what does not move",
+        "no actuator": m.nu == 0 and "a motor or position actuator for each commanded joint would work",
+        "an actuator that drives no joint": len(driven) != m.nu and "actuators that drive joints would work",
+        "several actuators on one joint": len(set(driven)) != len(driven) and "one a joint would work",
+        "an actuator with a state of its own": m.na > 0 and "motor, position, velocity or affine general actuators would work",
+    }
+    found = [f"{what}; {instead}" for what, instead in faults.items() if instead]
+    if found:
+        raise ConfigError(f"{path}: the search cannot take this robot: {found[0]}")

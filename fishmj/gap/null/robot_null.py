@@ -1,0 +1,54 @@
+"""Null of a robot described in MJCF: the model in question with drawn constants over the logged segments, and sensor noise.
+
+    r_i = predicted(constants_i) - predicted + noise      constants within their stated tolerance (data/calib/robot.toml)
+
+Each draw starts every segment from the logged state: under logged commands a drawn robot would soon leave the logged path. The
+errors of those starts, and torques that no model explains, are errors of one record each (`RigidRobot.record_errors`).
+
+The draws come from the model's own integrator, not from an independent one. So the error of its equations is the stated
+tolerance of `torque`, and is not measured.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fishmj.gap.progress import Bars, silent_bar
+from fishmj.gap.records.records import ResidualLayout
+
+RUNS = 48
+BATCH = 12
+
+
+@dataclass(frozen=True)
+class RobotNull:
+    """Settings. runs: draws of the constants. noise: factor on the sensors' noise, which is estimated from the logs."""
+
+    runs: int = RUNS
+    noise: float = 1.0
+    seed: int = 0
+    without: str = ""
+
+    @property
+    def text(self) -> str:
+        """Words for what is drawn."""
+        return f"{self.runs} draws of the model within its tolerances, with the noise of the logs and nothing hidden"
+
+    def residuals(self, model, records: list, layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
+        """(n, m) residuals of the present model on every draw. bars: of the draws."""
+        rng = np.random.default_rng([self.seed, 0x20B07])
+        sigma = np.array([constant.sigma for constant in model.constants])
+        rows = np.tile(model.nothing, (1 + self.runs, 1))
+        rows[1:, : len(sigma)] *= np.exp(sigma * rng.standard_normal((self.runs, len(sigma))))
+        parts = []
+        with bars(self.runs * len(records), "null runs", "runs") as bar:
+            for i, record in enumerate(records):
+                alone = ResidualLayout([record])
+                seen = []
+                for first in range(0, len(rows), BATCH):
+                    seen.append(alone.residuals(model.predict([record], rows[first : first + BATCH])))
+                    bar.update(i * self.runs + min(first + BATCH, self.runs))
+                residual = np.concatenate(seen)
+                parts.append(residual[0] - residual[1:])
+        noise = self.noise * layout.noise() * rng.standard_normal((self.runs, layout.size))
+        return np.nan_to_num(np.concatenate(parts, 1)) + noise

@@ -1,0 +1,220 @@
+"""Logs of a robot in MJCF: tables with any column names -> trials, by the model's joints and actuators.
+
+MAP.toml says which column is which; without one the columns are guessed from their names, and the guess is shown:
+
+    time = { column = "t_ms", unit = "ms" }
+    [joint]                                                     # measured positions, by the model's joint
+    shoulder = "pos_meas1"
+    elbow = { column = "pos_meas2", unit = "deg", sign = -1, zero = 90 }
+    [actuator]                                                  # commands, by the model's actuator
+    shoulder = "tau_con1"
+    elbow = { column = "current2", scale = 0.52 }               # N m / A
+
+value = sign (cell - zero) scale unit.
+"""
+
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from fishmj.base.errors import FishmjError, LogError
+from fishmj.log import Trial, numbered
+from fishmj.log.importers.column_map import Column, Stamp
+from fishmj.log.importers.gather import read_sheets
+from fishmj.log.importers.sheet import Sheet
+from fishmj.log.limits import bare, regular
+
+SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz")
+TIME = {"t", "time", "timestamp", "stamp", "seconds", "sec"}
+POSITION = {"pos", "position", "q", "angle", "ang", "theta", "qpos", "deg", "rad", "state", "observation"}
+ASKED = {"cmd", "command", "commanded", "ctrl", "control", "con", "des", "desired", "target", "ref", "goal", "setpoint", "action"}
+TORQUE = {"tau", "torque", "effort", "nm"}
+OTHERS = {"vel", "velocity", "dq", "qd", "qvel", "acc", "qacc", "fric", "temp", "temperature", "current", "voltage", "error"}
+SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
+MEASURED = {"meas", "measured", "actual", "act", "present"}
+UNITS = {"deg": "deg", "degrees": "deg", "mrad": "mrad", "ms": "ms", "us": "us", "ns": "ns"}
+LARGEST = 60.0  # rad: a joint that turns further is taken for one in degrees
+
+
+class RobotColumns(NamedTuple):
+    """Which column is which. joint, actuator: by the model's names, in its order."""
+
+    time: Stamp
+    joint: dict[str, Column]
+    actuator: dict[str, Column]
+
+    def rows(self) -> list[str]:
+        """One line a column, for a reader."""
+        unit = lambda c, otherwise: f" [{c.unit or otherwise}]"
+        out = [f"{self.time.column} -> time{unit(self.time, 's')}"]
+        out += [f"{c.column} -> position of {name}{unit(c, 'rad or m')}" for name, c in self.joint.items()]
+        return out + [f"{c.column} -> command of {name}" for name, c in self.actuator.items()]
+
+
+def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str]) -> RobotColumns:
+    """The map of a file. Raises LogError: not TOML, an unknown key, or a joint or actuator of the model without a column."""
+    regular(path)
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError, OSError) as error:
+        raise LogError(f"{path}: not valid TOML: {bare(error, 160)}") from error
+    tables = {}
+    for table, names in (("joint", joints), ("actuator", actuators)):
+        given = raw.get(table, {})
+        known = set(given) if isinstance(given, dict) else set()
+        if known != set(names):
+            wrong = sorted(known ^ set(names))[0]
+            why = "the model has none of that name" if wrong in known else "is missing"
+            raise LogError(f"{path}: [{table}] {bare(wrong)}: {why}; expected a column for each of {', '.join(names)}")
+        tables[table] = {name: _column(given[name], f"{path}: [{table}] {name}", Column) for name in names}
+    if unknown := sorted(set(raw) - {"time", "joint", "actuator"}):
+        raise LogError(f"{path}: {bare(unknown[0])} is no key; expected time, [joint] and [actuator]")
+    return RobotColumns(_column(raw.get("time"), f"{path}: time", Stamp), **tables)
+
+
+def _column(given: Any, where: str, kind: Any) -> Any:
+    try:
+        found = kind.model_validate(given)
+    except ValidationError as error:
+        why = bare(error.errors(include_url=False)[0]["msg"], 160)
+        raise LogError(f"{where}: {why}; expected the name of a column") from error
+    if found.column is None:
+        raise LogError(f"{where}: expected the name of a column")
+    return found
+
+
+def guess_columns(names: Sequence[str], joints: Sequence[str], actuators: Sequence[str], torques: bool) -> RobotColumns:
+    """Columns by their names. torques: True if the model's actuators take torques, not positions.
+
+    Raises:
+        LogError: nothing fits, or two fit as well.
+    """
+    stamps = [n for n in names if _words(n) & TIME]
+    if not stamps:
+        raise LogError(f'no column of stamps among {_listed(names)}; name it in a map, --columns MAP.toml: time = "..."')
+    measured = _best("positions of the joints", "joint", names, joints, lambda w: _position_score(w))
+    asked = _best("commands of the actuators", "actuator", names, actuators, lambda w: _command_score(w, torques))
+    unit = next((UNITS[w] for w in _words(stamps[0]) if w in ("ms", "us", "ns")), "")
+    return RobotColumns(
+        Stamp(column=stamps[0], unit=unit),
+        {name: Column(column=column, unit=_unit(column)) for name, column in measured.items()},
+        {name: Column(column=column, unit="" if torques else _unit(column)) for name, column in asked.items()},
+    )
+
+
+def _words(name: str) -> set[str]:
+    return set(re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()))
+
+
+def _unit(column: str) -> str:
+    return next((UNITS[w] for w in _words(column) if w in ("deg", "degrees", "mrad")), "")
+
+
+def _position_score(words: set[str]) -> int:
+    if not words & POSITION or words & (ASKED | TORQUE | OTHERS):
+        return 0
+    return 2 + 2 * bool(words & MEASURED) - bool(words & SMOOTHED)
+
+
+def _command_score(words: set[str], torques: bool) -> int:
+    if not words & (ASKED | TORQUE) or words & OTHERS or (words & TORQUE and not torques):
+        return 0
+    if words & MEASURED or (torques and words & POSITION):
+        return 0
+    return 4 * bool(words & ASKED) + 2 * bool(words & (TORQUE if torques else POSITION))
+
+
+def _best(what: str, table: str, names: Sequence[str], sites: Sequence[str], score) -> dict[str, str]:
+    """Site -> column of the family with the highest score."""
+    found = {}
+    for name in names:
+        for place, key in _places(name, sites):
+            found.setdefault(key, {}).setdefault(place, name)
+    whole = {key: by for key, by in found.items() if set(by) == set(range(len(sites)))}
+    ranked = sorted(((score(_words(key)), key) for key in whole), reverse=True)
+    if not ranked or ranked[0][0] <= 0:
+        raise LogError(f"no columns for the {what} among {_listed(names)}; name them in a map, --columns MAP.toml, [{table}]")
+    if len(ranked) > 1 and ranked[1][0] == ranked[0][0]:
+        both = " or ".join(whole[key][0] for _, key in ranked[:2])
+        raise LogError(f"{what}: {both}? Name them in a map, --columns MAP.toml, [{table}]")
+    return {site: whole[ranked[0][1]][i] for i, site in enumerate(sites)}
+
+
+def _places(name: str, sites: Sequence[str]):
+    """(number of the site, rest of the name) in which a column's name may be of a site: by its name, or by a number."""
+    lower = name.lower()
+    for i, site in sorted(enumerate(sites), key=lambda pair: -len(pair[1])):
+        if site.lower() in lower:
+            yield i, "name of " + lower.replace(site.lower(), "#", 1)
+            return
+    digits = list(re.finditer(r"\d+", name))
+    if digits:
+        last = digits[-1]
+        for first in (0, 1):
+            yield int(last.group()) - first, f"from {first} " + name[: last.start()] + "#" + name[last.end() :]
+    elif len(sites) == 1:
+        yield 0, name
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(bare(n) for n in names[:12]) + (", .." if len(names) > 12 else "")
+
+
+def log_files(data: Path) -> list[Path]:
+    """Tables of a folder, or one file. Raises LogError if there is none."""
+    files = sorted(p for p in data.iterdir() if p.suffix.lower() in SUFFIXES) if data.is_dir() else [data]
+    if not files:
+        raise LogError(f"{data}: no log; expected a folder of tables ({', '.join(SUFFIXES)}), one a log")
+    return files
+
+
+def read_sheet(path: Path) -> Sheet:
+    """One table. Raises LogError."""
+    sheets = read_sheets(path)
+    if len(sheets) != 1:
+        raise LogError(f"{path}: holds {len(sheets)} tables; expected one log a file")
+    return sheets[0]
+
+
+def robot_trial(sheet: Sheet, columns: RobotColumns) -> Trial:
+    """One log: commands by actuator (c#) and positions by joint (j#), SI.
+
+    Raises:
+        LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
+    """
+    wanted = [columns.time.column, *(str(c.column) for part in (columns.joint, columns.actuator) for c in part.values())]
+    missing = [column for column in wanted if column not in sheet.columns]
+    if missing:
+        raise LogError(f"{sheet.where}: no column {missing[0]!r}; it has {_listed(list(sheet.columns))}")
+    t = np.asarray(sheet.columns[columns.time.column], float) * columns.time.factor
+    read = lambda c: c.factor * (np.asarray(sheet.columns[c.column], float) - c.zero)
+    moved, asked = (np.stack([read(c) for c in part.values()], 1) for part in (columns.joint, columns.actuator))
+    for (name, c), values in zip(columns.joint.items(), moved.T, strict=True):
+        if np.nanmax(np.abs(values), initial=0.0) > LARGEST:
+            far = f"joint {name} turns to {np.nanmax(np.abs(values)):.3g} rad"
+            raise LogError(f"{sheet.where}: {far}; is {c.column} in degrees? State its unit in a map, --columns MAP.toml")
+    tables = {}
+    for table, template, values in (("cmd", "c#", asked), ("joint", "j#", moved)):
+        keep = np.isfinite(t) & np.isfinite(values).all(1)
+        if keep.sum() < 2 or not np.all(np.diff(t[keep]) > 0):
+            raise LogError(f"{sheet.where}: stamps {columns.time.column} do not rise; sort the rows, and remove doubles")
+        tables[table] = {"t": t[keep], **numbered(template, values[keep])}
+    return Trial({}, tables, name=sheet.path.stem, notes=sheet.notes)
+
+
+def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:
+    """(logs, file's name -> why it was left out). Raises LogError if none can be read."""
+    logs, broken = [], {}
+    for path in files:
+        try:
+            logs.append(robot_trial(read_sheet(path), columns))
+        except (FishmjError, OSError) as error:
+            broken[path.name] = " ".join(str(error).split())
+    if not logs:
+        raise LogError(next(iter(broken.values())))
+    return logs, broken

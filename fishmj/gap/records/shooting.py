@@ -1,0 +1,170 @@
+"""A robot's log as the input of the search: segments that start from estimated states (multiple shooting).
+
+    q(t) ~ a + v (t - s) + ..      local cubic over `half` on either side of a segment's start s: angle a, rate v
+    error of the start             root mean square difference to a local quintic: noise, and what a cubic cannot follow
+    noise of a joint               residual of the local cubics, median over the starts
+
+A chaotic arm leaves any model within seconds, so no log is compared as one free run. A segment is a whole number of the windows
+of `ResidualLayout`, so no average crosses a start.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.base.calib import calib_folder, read_toml
+from fishmj.base.errors import LogError
+from fishmj.gap.records.records import WINDOW, Sensor
+from fishmj.log import Trial
+from fishmj.log.trial import stacked
+
+FILE = "robot.toml"
+PAUSE = 0.1  # s without a reading, or five usual steps: no segment crosses it
+TURN = 3.0  # rad from one reading to the next: the encoder wrapped round
+
+
+@cache
+def assumed(table: str) -> dict[str, float]:
+    """Values of one table of data/calib/robot.toml."""
+    return {key: entry["value"] for key, entry in read_toml(calib_folder() / FILE)[table].items()}
+
+
+class RobotRecord(NamedTuple):
+    """One log. The fields from `pose` on are those of a fish's `Record` that a robot's log does not have."""
+
+    name: str
+    excitation: str
+    replicate_of: str
+    dt: float  # s, the model's step
+    sent: np.ndarray  # (n,) s
+    commands: np.ndarray  # (n, A) as sent, by actuator
+    joint: Sensor  # rad or m, by joint, readings within segments only
+    starts: np.ndarray  # (S,) s
+    length: float  # s of a segment
+    angles: np.ndarray  # (S, J) at the starts
+    rates: np.ndarray  # (S, J)
+    accelerations: np.ndarray  # (S, J)
+    angle_error: np.ndarray  # (J,)
+    rate_error: np.ndarray  # (J,)
+    channels: Mapping[str, tuple[str, ...]]  # names of the joints, as the residual's channels
+    pose: None = None
+    power: None = None
+    placed: None = None
+    weighed: None = None
+    push_sigma: tuple[float, ...] = (0.0, 0.0, 0.0)
+    session: float = 0.0
+    medium: str = "air"
+
+    @property
+    def seconds(self) -> float:
+        """Length of what is compared."""
+        return self.length * len(self.starts)
+
+
+def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecord:
+    """Cuts one log into segments and estimates their starts. dt: the model's step [s].
+
+    Raises:
+        LogError: no commands or positions, another number of joints, or no segment without a pause.
+    """
+    for table, what in (("cmd", "commands"), ("joint", "positions")):
+        if table not in trial.tables or not len(trial.table(table)["t"]):
+            raise LogError(f"log {trial.name}: no {what}; the search needs what was commanded and how the joints moved")
+    cmd, moved = trial.table("cmd"), trial.table("joint")
+    begin = max(float(cmd["t"][0]), float(moved["t"][0]))
+    t, q = np.asarray(moved["t"], float) - begin, stacked(moved, "j#")
+    if q.shape[1] != len(joints):
+        raise LogError(f"log {trial.name}: positions of {q.shape[1]} joints; the model has {len(joints)}: {', '.join(joints)}")
+    keep = np.isfinite(q).all(1)
+    t, q = t[keep], q[keep]
+    if len(t) < 2 or not np.all(np.diff(t) > 0):
+        raise LogError(f"log {trial.name}: stamps of positions do not rise; sort the rows, and remove those that repeat a stamp")
+    if np.abs(np.diff(q, axis=0)).max() > TURN:
+        q = np.unwrap(q, axis=0)
+    segments, window = assumed("segments"), WINDOW["joint"]
+    step = float(np.median(np.diff(t)))
+    half = max(segments["half"], 0.5 * step * (segments["fewest"] + 1))
+    length = window * round(segments["length"] / window)
+    first = window * np.ceil(max(half, t[0] + half) / window)
+    starts = np.arange(first, t[-1] - length, length)
+    pause = max(PAUSE, 5.0 * step)
+    breaks = np.flatnonzero(np.diff(t) > pause)
+    whole = [s for s in starts if not np.any((t[breaks + 1] > s - half) & (t[breaks] < s + length))]
+    if not whole:
+        whole_log = f"{t[-1] - t[0]:.2g} s with {len(breaks)} pauses"
+        raise LogError(f"log {trial.name}: no {length:g} s without a pause of {pause:.2g} s in {whole_log}; record it anew")
+    starts = np.array(whole)
+    fits = [_local(t, q, s, half, degree=3) for s in starts]
+    finer = [_local(t, q, s, half, degree=5) for s in starts]
+    values = np.stack([fit.values for fit in fits])  # (S, 4.., J)
+    wider = np.stack([fit.values for fit in finer])
+    error = np.sqrt(np.mean((values[:, :2] - wider[:, :2]) ** 2, 0))
+    sigma = np.maximum(np.median(np.stack([fit.residual for fit in fits]), 0), 1e-9)
+    spread = np.stack([fit.spread[:2] for fit in fits]).mean(0)[:, None] * sigma
+    inside = np.searchsorted(starts, t, side="right") - 1
+    used = (inside >= 0) & (t < starts[np.maximum(inside, 0)] + length)
+    return RobotRecord(
+        name=trial.name,
+        excitation=str(trial.value("excitation", "") or ""),
+        replicate_of=str(trial.value("replicate_of", "") or ""),
+        dt=dt,
+        sent=np.asarray(cmd["t"], float) - begin,
+        commands=stacked(cmd, "c#"),
+        joint=Sensor(t[used], q[used], sigma),
+        starts=starts,
+        length=length,
+        angles=values[:, 0],
+        rates=values[:, 1],
+        accelerations=2.0 * values[:, 2],
+        angle_error=np.maximum(error[0], spread[0]),
+        rate_error=np.maximum(error[1], spread[1]),
+        channels={"joint": joints},
+    )
+
+
+def robot_records(trials: Sequence[Trial], dt: float, joints: tuple[str, ...]) -> list[RobotRecord]:
+    """The logs of one search. Raises LogError."""
+    return thinned([robot_record(trial, dt, joints) for trial in trials], int(assumed("segments")["most"]))
+
+
+def thinned(records: list[RobotRecord], most: int) -> list[RobotRecord]:
+    """The records with at most `most` segments together, spread evenly over each: the cost of a search is their number."""
+    total = sum(len(r.starts) for r in records)
+    return [_some_of(r, max(1, round(len(r.starts) * most / total))) for r in records] if total > most else records
+
+
+def _some_of(record: RobotRecord, count: int) -> RobotRecord:
+    """The record with `count` of its segments."""
+    kept = np.unique(np.linspace(0, len(record.starts) - 1, count).round().astype(int))
+    place = np.searchsorted(record.starts, record.joint.t, side="right") - 1
+    rows = np.isin(place, kept)
+    joint = record.joint._replace(t=record.joint.t[rows], values=record.joint.values[rows])
+    some = {name: getattr(record, name)[kept] for name in ("starts", "angles", "rates", "accelerations")}
+    return record._replace(joint=joint, **some)
+
+
+class _LocalFit(NamedTuple):
+    """Polynomial about a time."""
+
+    values: np.ndarray  # (degree + 1, J) coefficients
+    residual: np.ndarray  # (J,) standard deviation
+    spread: np.ndarray  # (degree + 1,) standard deviation of a coefficient for unit noise
+
+
+def _local(t: np.ndarray, q: np.ndarray, at: float, half: float, degree: int) -> _LocalFit:
+    """Least squares polynomial about a time."""
+    rows = slice(*np.searchsorted(t, [at - half, at + half]))
+    x = (t[rows] - at) / half
+    if len(x) <= degree:  # a slow log: the nearest readings
+        rows = slice(max(0, rows.start - degree), rows.stop + degree)
+        x = (t[rows] - at) / half
+    a = np.vander(x, min(degree, len(x) - 1) + 1, increasing=True)
+    found, *_ = np.linalg.lstsq(a, q[rows], rcond=None)
+    left = np.sum((q[rows] - a @ found) ** 2, 0) / max(len(x) - a.shape[1], 1)
+    units = half ** -np.arange(a.shape[1])
+    spread = np.sqrt(np.diag(np.linalg.pinv(a.T @ a))) * units
+    pad = degree + 1 - a.shape[1]
+    values = np.pad(found * units[:, None], ((0, pad), (0, 0)))
+    return _LocalFit(values, np.sqrt(left), np.pad(spread, (0, pad)))

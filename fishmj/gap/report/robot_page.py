@@ -1,0 +1,87 @@
+"""The page of a search for a robot in MJCF: the sections of a fish's page that hold for any model, and the place by joint."""
+
+from pathlib import Path
+
+from fishmj.base import pages
+from fishmj.base.figures import style
+from fishmj.base.pages import Section, part, table
+from fishmj.base.store import write_text
+from fishmj.gap.localise.comparison import compared
+from fishmj.gap.localise.robot_localisation import MOTIONS, RobotLocalisation
+from fishmj.gap.report import sections
+from fishmj.gap.report.pictures import STYLE
+from fishmj.gap.report.report_data import ReportData, after, blind, channels, rounds
+from fishmj.gap.wording import percent, quantity, title
+from fishmj.gap.workflow import Inquiry
+
+
+def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[str, str], folder: Path) -> str:
+    """Writes report.html; returns its name. answers: by effect."""
+    e, found = inquiry.evidence, inquiry.found
+    c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
+    gates = inquiry.gates
+    m = ReportData(inquiry, gates, c, place, (), channels(inquiry), rounds(inquiry), blind(inquiry, gates), "")  # type: ignore[arg-type]
+    v = inquiry.verdict
+    with style(STYLE):
+        shown = [sections.gap(m), _where(place), _torques(m), _each(answers), sections.candidates(m)]
+        shown += [sections.checks(m), sections.invisible(m), sections.records(m)]
+    head = {
+        "synthetic": inquiry.synthetic,
+        "value": sections.value(m),
+        "meaning": sections.escape_text(sections.meaning(m)),
+        "next_step": sections.escape_text(next_step(inquiry)),
+        "figures": sections.figures(m),
+        "contract": sections.CONTRACT,
+        "made": f"gap find · {len(e.records)} logs in the search, {e.runs} null runs of each",
+    }
+    name = sections.headline(v)
+    write_text(folder / "report.html", pages.report(name, name, shown, "gap.html", mark=v.answer, **head))
+    return "report.html"
+
+
+def next_step(inquiry: Inquiry) -> str:
+    """One sentence on the next step: for CLASS, what separates the effects."""
+    v = inquiry.verdict
+    if v.answer == "NAMED":
+        return "Write it into the description with `fishmj gap apply`, and record anew."
+    known = {x.name: x for x in inquiry.evidence.model.active.effects}
+    for r in v.rivals if v.answer == "CLASS" else ():
+        one, other = str(r.get("instead_of", "")), str(r["name"])
+        for a, b in ((one, other), (other, one)):
+            for c in known[a].confusions if a in known else ():
+                if c.other == b:
+                    return f"{title(a)} or {title(b)}: {c.separates}."
+    if v.answer == "CLASS":
+        return "Record a motion in which the listed effects differ: another speed, load or pose."
+    if v.answer == "UNEXPLAINED":
+        return "Look at the joint and the motion in which the residual lies, and at the torques that nothing explains."
+    return "Nothing to add." if v.answer == "AGREES" else "Record more replicates."
+
+
+def _where(place: RobotLocalisation) -> Section:
+    rows = [
+        {"joint": part("strong", title(joint)), "share": percent(share)} | {m: percent(place.motions[joint][m]) for m in MOTIONS}
+        for joint, share in place.joints.items()
+    ]
+    times = [{"time": name, "share": percent(share)} for name, share in place.thirds.items()]
+    about = "Shares of the residual above the floor, before anything is named, by the speed of the joint and the time in a log."
+    return Section("Where it is", about, [part("beside", table(rows), table(times), "two")])
+
+
+def _torques(m: ReportData) -> Section:
+    """Torques that no effect explains; empty where they were not asked for."""
+    found = m.inquiry.verdict.gates.get("torques", {})
+    robot = m.inquiry.evidence.model
+    usual = dict(zip(robot.robot.sites("joint"), robot.sizes.torque.tolist(), strict=True))
+    rows = [
+        {"joint": part("strong", title(joint)), "before": quantity(a, "N m"), "after": quantity(b, "N m")}
+        | {"usual torque of the joint": quantity(usual[joint], "N m")}
+        for joint, (a, b) in found.items()
+    ]
+    about = "Most likely size of the torques at each joint that the model does not explain, each lasting 60 ms."
+    return Section("Torques that nothing explains", about, [table(rows) if rows else ""])
+
+
+def _each(answers: dict[str, str]) -> Section:
+    rows = [{"effect": part("strong", title(name)), "answer": part("tag", answer)} for name, answer in answers.items()]
+    return Section("Effect by effect", "One may be certain beside another that is not.", [table(rows) if rows else ""])

@@ -1,0 +1,112 @@
+"""Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
+
+    all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again ..
+
+The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
+its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
+that any effect would gain.
+
+What is left of these torques by the found effects, over what there was before, is a gate, joint by joint: an effect that only
+seems to explain lowers no torque.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj.gap.null.variances import Sample, score_variances
+from fishmj.gap.progress import Bars, silent_bar
+from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.thresholds import thresholds
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.wording import percent, quantity, title
+
+
+class UnexplainedTorque(NamedTuple):
+    """(J,) N m: deviations with the model as it is, and with all effects fitted."""
+
+    before: np.ndarray
+    least: np.ndarray
+
+
+def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar):
+    """(model with the measured errors of torques, the torques). model: `RigidRobot`; null: `RobotNull`."""
+    records, limits = list(records), thresholds().torques
+    names = tuple(x.name for x in model.active.effects)
+    places = tuple(range(len(model.constants), len(model.null)))
+    row = model.null
+    wide = model.with_errors(limits.start * model.torque_tolerance, row)
+    runs = null.residuals(model, records, ResidualLayout(records), bars)
+    e = Likelihood(wide, records, runs)
+    before = torques(e, row)
+    with bars(limits.fits, "torques that no effect explains", "fits") as bar:
+        for k in range(limits.fits):
+            fit = e.subset()
+            row = fit.refine([fit.at(row, names, places)], limits.steps)[0].row
+            wide = model.with_errors(np.maximum(torques(e, row), model.torque_tolerance), row)
+            e = Likelihood(wide, records, runs)
+            bar.update(k + 1)
+    least = torques(e, row)
+    return model.with_errors(np.maximum(least, model.torque_tolerance), row), UnexplainedTorque(before, least)
+
+
+def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
+    """(J,) N m: most likely deviations of the torques at the joints, for a parameter row."""
+    model, joints = e.model, e.model.joints
+    residual = e.layout.residuals(model.predict(e.records, row))[0]
+    sample = Sample(
+        null=e.factors,
+        shared=np.zeros((0, e.layout.size)),
+        group=np.zeros(0, int),
+        parts=list(e.by_record),
+        groups=[model.error_groups(record) for record in e.records],
+        record=e.layout.record,
+        variance=e.d**2,
+        spread=np.zeros(e.layout.size),
+        channel=np.zeros(e.layout.size, int),
+        residual=np.nan_to_num(residual),
+    )
+    u, tiny = np.ones(joints + 1), np.finfo(float).tiny ** 0.5
+    for _ in range(thresholds().torques.updates):
+        told = score_variances(sample, u, np.zeros(1))
+        ratio = np.sqrt(np.maximum(told.seen[: joints + 1], tiny) / np.maximum(told.expected[: joints + 1], tiny))
+        u[:joints] = np.maximum(u[:joints] * ratio[:joints], tiny)
+    return np.sqrt(u[:joints]) * model.torque_error
+
+
+def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
+    """Veto: an effect at a joint halves the mean square of the torque there that nothing explains, others that of all joints.
+
+    Else it is counted in, not named; without another one the answer is UNEXPLAINED. A torque within what is allowed is none. What
+    is left beside a name is a warning.
+
+    names: of the joints. Not for a model without such torques.
+    """
+    model = e.model
+    if not hasattr(model, "torque_tolerance"):
+        return verdict
+    limits = thresholds().torques
+    before, after = torques(e, model.null), torques(e, row)
+    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
+    verdict = replace(verdict, gates=told)
+    allowed = limits.allowed * model.torque_tolerance
+    left = {n: x for n, x, most in zip(names, after, allowed, strict=True) if x > most}
+    if not left or verdict.answer not in ("AGREES", "NAMED", "CLASS"):
+        return verdict
+    words = " and ".join(f"{quantity(x, 'N m')} at {title(n)}" for n, x in left.items())
+    if verdict.answer == "AGREES":
+        return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect of the catalogue explains")
+    shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
+    everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
+    share = {found.name: shares.get(found.name.partition("@")[2], everywhere) for found in verdict.effects}
+    kept = tuple(found for found in verdict.effects if share[found.name] <= limits.share)
+    rest = f"torques of {words} are left that no effect explains"
+    if not kept:
+        least = percent(min(share.values()))
+        why = f"{least} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
+        return replace(verdict, answer="UNEXPLAINED", reason=why)
+    others = tuple(found for found in verdict.effects if found not in kept)
+    return replace(verdict, effects=kept, tentative=(*verdict.tentative, *others), warnings=(*verdict.warnings, rest))
