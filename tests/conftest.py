@@ -43,6 +43,17 @@ def spent() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
+@pytest.fixture
+def catalogue():
+    """The catalogue of effects, afterwards as it was: an own effect joins it for the rest of the process."""
+    from fishmj import effects
+
+    before = dict(effects.catalogue())
+    yield effects.catalogue()
+    effects.catalogue().clear()
+    effects.catalogue().update(before)
+
+
 def pytest_collection_modifyitems(config, items):
     """The longest file first: begun last, it keeps one worker busy for minutes while the others have nothing left to do.
 

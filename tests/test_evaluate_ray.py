@@ -61,6 +61,7 @@ def test_controllers_that_a_cluster_finished_are_not_judged_again(tmp_path, monk
     assert figures(tmp_path / "ray") == figures(tmp_path / "here")
 
 
+@pytest.mark.usefixtures("catalogue")
 @pytest.mark.parametrize(
     ("words", "said"),
     [

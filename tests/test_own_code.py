@@ -33,15 +33,6 @@ SHORT = ["--speeds", "0.2", "--los", "0", "--repeats", "1", "--duration", "1"]
 PARTS = ("controller", "task", "effect", "algorithm", "importer")
 
 
-@pytest.fixture
-def catalogue():
-    """The catalogue and what was loaded are as they were afterwards."""
-    before = dict(effects.catalogue())
-    yield effects.catalogue()
-    effects.catalogue().clear()
-    effects.catalogue().update(before)
-
-
 # the loader
 
 
