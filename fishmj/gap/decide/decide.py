@@ -82,7 +82,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     plain: dict = dict(gap_before=before, gap_after=before, gap_allowed=gates.adequacy, gates=checks, steps=steps)
     first = found.steps[0] if found.steps else None
     if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
-        return Verdict("AGREES", reason="nothing is beyond what an independent simulation of this very robot scatters", **plain)
+        return Verdict("AGREES", reason="nothing is beyond what runs with nothing hidden scatter", **plain)
     if not first.accepted:
         tentative = named_effects(found, first.ranked[0], {}) if first.gain > 0 else ()
         gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"

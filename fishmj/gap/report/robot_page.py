@@ -14,6 +14,8 @@ from fishmj.gap.report.report_data import ReportData, after, blind, channels, ro
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
 
+SET_ON = "Some thresholds were chosen with the logs of one robot in view. How often the answer is wrong is not measured."
+
 
 def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[str, str], folder: Path) -> str:
     """Writes report.html; returns its name. answers: by effect."""
@@ -24,7 +26,7 @@ def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[s
     v = inquiry.verdict
     with style(STYLE):
         shown = [sections.gap(m), _where(place), _torques(m), _each(answers), sections.candidates(m)]
-        shown += [sections.checks(m), sections.invisible(m), sections.records(m)]
+        shown += [sections.checks(m, SET_ON), sections.invisible(m), sections.records(m)]
     head = {
         "synthetic": inquiry.synthetic,
         "value": sections.value(m),

@@ -22,6 +22,7 @@ from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
 
 NOTHING = Section("", "", ())
+SET_ON = "Thresholds were set on null runs and planted effects; benchmarks are scored on others."
 
 
 def html(m: ReportData) -> str:
@@ -185,13 +186,12 @@ def ranked(r: RoundFinalists, place: int, count: int) -> str:
     return head + part("beside", table(rows, left=3), drawn, "rank")
 
 
-def checks(m: ReportData) -> Section:
-    """Section on the gates."""
+def checks(m: ReportData, about: str = SET_ON) -> Section:
+    """Section on the gates. about: on what their thresholds were set."""
     rows = [
         {"gate": part("strong", g.name), "question": g.question, "found": g.value, "needed": g.needed, "": part("tag", g.state)}
         for g in gates(m)
     ]
-    about = "Thresholds were set on null runs and planted effects; benchmarks are scored on others."
     return Section("Why this answer", about, [table(rows, left=2)])
 
 

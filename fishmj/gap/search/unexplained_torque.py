@@ -83,11 +83,9 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     Else it is counted in, not named; without another one the answer is UNEXPLAINED. A torque within what is allowed is none. What
     is left beside a name is a warning.
 
-    names: of the joints. Not for a model without such torques.
+    names: of the joints.
     """
     model = e.model
-    if not hasattr(model, "torque_tolerance"):
-        return verdict
     limits = thresholds().torques
     before, after = torques(e, model.null), torques(e, row)
     told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
