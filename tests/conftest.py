@@ -11,6 +11,7 @@ import resource
 import signal
 import time
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -52,6 +53,18 @@ def catalogue():
     yield effects.catalogue()
     effects.catalogue().clear()
     effects.catalogue().update(before)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A Ray cluster of two workers for all tests of a file, which can import what tests import: starting Ray takes longest."""
+    here = Path(__file__).parent
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", f"{here}:{here.parent}")
+        ray = pytest.importorskip("ray")
+        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
+        yield
+        ray.shutdown()
 
 
 def pytest_collection_modifyitems(config, items):

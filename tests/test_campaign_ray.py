@@ -49,17 +49,6 @@ def local(monkeypatch):
     return RayPool("local:2", runner=ray_toys.run)
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """A cluster that is there already: starting one takes longest."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{HERE}:{HERE.parent}")
-        ray = pytest.importorskip("ray")
-        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
-        yield
-        ray.shutdown()
-
-
 @pytest.fixture
 def two(cluster):
     """A pool of its two workers."""

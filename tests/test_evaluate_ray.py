@@ -20,17 +20,6 @@ SOME = ["--speeds", "0.2", "--los", "0,90", "--repeats", "1", "--duration", "2"]
 ARRAYS = ("pose", "velocity", "joint", "command", "obs", "power", "distance", "left")
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """Two workers that every test of this file uses; starting Ray takes longest."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(ROOT))
-        ray = pytest.importorskip("ray")
-        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
-        yield
-        ray.shutdown()
-
-
 def evaluated(out, *words):
     return console.run(command.main, ["drift", "pd", "dob", *SOME, "--out", str(out), *words])
 

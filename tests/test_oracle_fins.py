@@ -96,7 +96,7 @@ def test_a_fish_with_layers_conserves_momentum_and_goes_on_to_the_bit():
 def test_a_light_free_sheet_does_not_vibrate():
     """Without the lag of its layers' momentum a sheet without mass swings from step to step, and more each time."""
     water = Fluid(Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-5), (28, 28, 28), "cpu")
-    free = disc.held(disc.disc_markers(6, FINS, angle=0.3), water, slip=1.0)
+    free = disc.sheet_in_water(disc.disc_markers(6, FINS, angle=0.3), water, slip=1.0)
     free.body.model.body_mass[1] = 1e-3
     free.body.applied[:] = 1e-4 * free.boundary.markers.normal[0]
     speed = np.array([free.step() @ free.boundary.markers.normal[0] for _ in range(100)])

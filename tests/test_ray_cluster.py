@@ -18,17 +18,6 @@ from fishmj.base.ray_cluster import RayCluster, RayTask, refuse_own_code, report
 HERE = Path(__file__).parent
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """Two workers that every test of this file uses; starting Ray takes longest."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{HERE}:{HERE.parent}")
-        ray = pytest.importorskip("ray")
-        ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="error")
-        yield
-        ray.shutdown()
-
-
 def spread(work, number=3, **options):
     tasks = deque(RayTask(f"t{i}", i) for i in range(number))
     return {task.id: result for task, result in RayCluster("auto").spread(work, tasks, device="cpu", **options)}

@@ -67,4 +67,4 @@ def test_the_first_policy_of_such_a_run_is_the_one_that_it_began_with(tmp_path):
         np.array_equal(a, b) for x, y in zip(swims.weights, policy.weights, strict=True) for a, b in zip(x, y, strict=True)
     )
     with pytest.raises(ConfigError, match="the policy's layers are"):
-        begun(run.training._replace(actor=run.training.actor[:1]), policy, made)
+        begun(run.training._replace(actor=run.training.actor[:1]), policy, made, run.env)

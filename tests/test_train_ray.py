@@ -86,7 +86,7 @@ def test_sweep_is_refused_before_anything_runs(more, said, tmp_path, capsys):
 
 
 @pytest.fixture
-def swum(monkeypatch):
+def instant_runs(monkeypatch):
     """Runs that take no time: their RMSE is |gamma - 0.9| + 0.01 seed, their learners are the list, and 0.7 diverges."""
     made, begins = [], []
 
@@ -110,30 +110,30 @@ def swum(monkeypatch):
     return SimpleNamespace(learners=made, begins=begins)
 
 
-def test_sweep_names_the_best_point_on_the_tuning_flows(swum, tmp_path, capsys):
+def test_sweep_names_the_best_point_on_the_tuning_flows(instant_runs, tmp_path, capsys):
     words = [*SMALL, "--sweep", "gamma", "0.95", "0.9", "0.8", "--seeds", "0,1", "--out", str(tmp_path / "grid"), "--json"]
     assert console.run(main, words) == console.OK
     out = capsys.readouterr().out
     assert "best on the tuning flows: gamma=0.9; judge it on other draws with: fishmj evaluate" in out and "run 6 of 6" in out
-    assert len(swum.learners) == 3, "the seeds of a point share their learner"
+    assert len(instant_runs.learners) == 3, "the seeds of a point share their learner"
     told = json.loads(out.strip().splitlines()[-1])
     assert told["sweep"]["best"]["rmse_last10"] == pytest.approx(0.005) and len(told["sweep"]["rows"]) == 6
     assert read_json(tmp_path / "grid" / "sweep.json") == told
     assert (tmp_path / "grid" / "gamma=0.8" / "seed-1" / "settings.json").is_file()
 
 
-def test_sweep_goes_on_where_a_run_diverges(swum, tmp_path, capsys):
+def test_sweep_goes_on_where_a_run_diverges(instant_runs, tmp_path, capsys):
     assert console.run(main, [*SMALL, "--sweep", "gamma", "0.7", "0.8", "--out", str(tmp_path)]) == console.FAILED_CHECK
     out, err = capsys.readouterr()
     assert "best on the tuning flows: gamma=0.8" in out and "gamma=0.7 seed 0: non-finite figures" in err
 
 
-def test_resumed_seeds_begin_with_the_policy_where_they_had_not_begun(swum, tmp_path):
+def test_resumed_seeds_begin_with_the_policy_where_they_had_not_begun(instant_runs, tmp_path):
     words = [*SMALL, "--seeds", "0,1", "--begin", "station", "--out", str(tmp_path / "run")]
     assert console.run(main, words) == console.OK
     shutil.rmtree(tmp_path / "run" / "seed-1")
     assert console.run(main, [*words, "--resume"]) == console.OK
-    assert swum.begins == [(0, False, True), (1, False, True), (0, True, False), (1, False, True)]
+    assert instant_runs.begins == [(0, False, True), (1, False, True), (0, True, False), (1, False, True)]
     assert console.run(main, [*SMALL, "--begin", "station", "--resume", "--out", str(tmp_path / "run")]) == console.BAD_INPUT
 
 

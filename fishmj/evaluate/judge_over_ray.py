@@ -53,12 +53,12 @@ def judge_over_ray(
     work = partial(judge_controllers, robot=robot, trials=trials, engine=engine, hybrid=hybrid)
     device = hybrid.device if hybrid is not None else "cpu" if engine in ON_CPU else "auto"
 
-    def told(under_way: float) -> bool:
+    def show_progress(under_way: float) -> bool:
         if done < len(brains):
             progress(done * each + under_way)
         return True
 
-    for task, found in cluster.spread(work, tasks, device=device, go_on=told):
+    for task, found in cluster.spread(work, tasks, device=device, go_on=show_progress):
         done += 1
         progress(done * each)
         yield task.given, found._replace(robot=robot, trials=trials)

@@ -7,6 +7,7 @@ a training from nothing the policy leaves its optimum and does not find it again
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -62,23 +63,23 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
     return policy, made
 
 
-def begun(training, policy: Policy, settings: Settings):
-    """Fresh train state whose actor is the policy's and whose critic knows the policy's returns."""
+def begun(training, policy: Policy, settings: Settings, env):
+    """Fresh train state whose actor is the policy's and whose critic knows the policy's returns. env: of the training."""
     layers = [(jnp.asarray(w.T, jnp.float32), jnp.asarray(b, jnp.float32)) for w, b in policy.weights]
     shapes = lambda actor: [(w.shape, b.shape) for w, b in actor]
     if shapes(layers) != shapes(training.actor):
         raise ConfigError(f"--begin: the policy's layers are {shapes(layers)}, this training's {shapes(training.actor)}")
     training = training._replace(actor=layers)
-    return training._replace(critic=taught(training, settings))
+    return training._replace(critic=taught(training, settings, env))
 
 
-def taught(training, settings: Settings):
+def taught(training, settings: Settings, env):
     """Critic that has learnt the returns of the actor, which stands still; for the flow solver, in the robot's own water."""
-    elsewhere = {"engine": "auto", "water": "auto", "algorithm": CHEAP} if settings.engine == LBM else {}
-    near = change(settings, **elsewhere)
-    near = change(near, algorithm={"learning_rate": RATE})
-    config = config_of(near)
-    learner = PPO(environment(near), config, LESSONS * config.envs * config.horizon, moves=False)
+    if settings.engine == LBM:
+        settings = change(settings, engine="auto", water="auto", algorithm=CHEAP)
+        env = environment(settings)
+    config = replace(config_of(settings), learning_rate=RATE)
+    learner = PPO(env, config, LESSONS * config.envs * config.horizon, moves=False)
     state = learner.init(jax.random.key(settings.seed))
     state = state._replace(actor=jax.tree.map(jnp.array, training.actor), log_sigma=jnp.array(training.log_sigma))
     with console.Progress(LESSONS, "teach the critic", "iterations") as bar:

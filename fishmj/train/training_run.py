@@ -263,7 +263,7 @@ class TrainingRun:
         elif self.checkpoints.paths():
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
         elif begin is not None:
-            self.training = begun(self.training, begin, settings)
+            self.training = begun(self.training, begin, settings, self.env)
             self.assessed = -1  # the policy that it begins with is judged as well, and may stay the best
         if self.devices > 1:
             self.training = self.algorithm.place(self.training)

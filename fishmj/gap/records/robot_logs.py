@@ -14,7 +14,6 @@ value = sign (cell - zero) scale unit.
 """
 
 import re
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,10 +23,10 @@ from pydantic import ValidationError
 
 from fishmj.base.errors import FishmjError, LogError
 from fishmj.log import Trial, numbered
-from fishmj.log.importers.column_map import Column, Stamp
+from fishmj.log.importers.column_map import Column, Stamp, map_table
 from fishmj.log.importers.gather import read_sheets
 from fishmj.log.importers.sheet import Sheet
-from fishmj.log.limits import bare, regular
+from fishmj.log.limits import bare
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz")
 TIME = {"t", "time", "timestamp", "stamp", "seconds", "sec"}
@@ -58,12 +57,7 @@ class RobotColumns(NamedTuple):
 
 def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str]) -> RobotColumns:
     """The map of a file. Raises LogError: not TOML, an unknown key, or a joint or actuator of the model without a column."""
-    regular(path)
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError, OSError) as error:
-        raise LogError(f"{path}: not valid TOML: {bare(error, 160)}") from error
-    tables = {}
+    raw, tables = map_table(path), {}
     for table, names in (("joint", joints), ("actuator", actuators)):
         given = raw.get(table, {})
         known = set(given) if isinstance(given, dict) else set()

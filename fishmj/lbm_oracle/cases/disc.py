@@ -56,7 +56,7 @@ def disc_markers(radius: float, sharpness: Sharpness, slip: float = 1.0, angle: 
     return Markers.rigid(rest, normal, np.concatenate(areas), sheet=True, sharpness=sharpness)
 
 
-def held(markers: Markers, water: Fluid, *, off=OFF, slip: float, **options) -> FluidStructure:
+def sheet_in_water(markers: Markers, water: Fluid, *, off=OFF, slip: float, **options) -> FluidStructure:
     """The sheet in the middle of its water."""
     body = ImmersedBody.on_slides("xyz", 1.0, [1.0] * 3, 0.0, [0.0] * 3, 1.0)
     body.place(np.array(water.shape) / 2 + off)
@@ -75,7 +75,7 @@ def added_mass_of_sheet(
     exact = PLATES[ratio] * pi * 2 * ratio * half**3 if ratio else 8 / 3 * half**3
     across, along = box * half, (box + 2 * (max(ratio, 1) - 1)) * half
     water = Fluid(Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-5), (across, across, along), device)
-    driven, normal, speed = held(markers, water, off=off, slip=1.0, **options), markers.normal[0], 0.0
+    driven, normal, speed = sheet_in_water(markers, water, off=off, slip=1.0, **options), markers.normal[0], 0.0
     for n in range(LAST * half):
         if n == FIRST * half:
             driven.take_wrench(1.0)
@@ -90,7 +90,7 @@ def creeping_drag(radius: int, device: str, *, sharpness: Sharpness = FINS, nu: 
     size = 8 * radius
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=nu)
     water = Fluid(lattice, (size,) * 3, device, subgrid="none", body_acceleration=(0.0, push, 0.0))
-    fixed = held(disc_markers(radius, sharpness, 0.0), water, slip=0.0)
+    fixed = sheet_in_water(disc_markers(radius, sharpness, 0.0), water, slip=0.0)
     steps = round(size**2 / nu / 6)  # six times what the slowest shear takes to fall to a third
     for n in range(steps):
         if n == steps - 2:

@@ -181,13 +181,17 @@ def read_map(path: Path) -> ColumnMap:
     Raises:
         LogError: one line with the block, the key, what is expected and the nearest known name.
     """
+    return of_dict(map_table(path), str(path))
+
+
+def map_table(path: Path) -> dict:
+    """TOML of a map, not checked. Raises LogError: no regular file, over 1 MB, or not TOML."""
     if regular(path) > 1 << 20:
         raise LogError(f"{path}: a map of over 1 MB; expected a few dozen lines of TOML")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError, OSError) as error:
         raise LogError(f"{path}: not valid TOML: {bare(error, 160)}") from error
-    return of_dict(raw, str(path))
 
 
 def of_dict(raw: dict, where: str) -> ColumnMap:
