@@ -72,8 +72,10 @@ def test_members_of_other_bodies_residuals_or_bounds_are_refused(tmp_path):
         WaterFamily("x", [first, replace(second, body_sha256="0" * 64)], scatter=0.1, residual=(0.5, 1.0))
     with pytest.raises(ConfigError, match="another learnt residual.*--residual swift"):
         WaterFamily("x", [first, replace(second, learnt=None)], scatter=0.1, residual=(0.5, 1.0))
-    with pytest.raises(ConfigError, match="the smaller share first"):
+    with pytest.raises(ConfigError, match="the smaller number first"):
         WaterFamily("x", [first, second], scatter=0.1, residual=(1.0, 0.5))
+    with pytest.raises(ConfigError, match="drag = .*the smaller number first"):
+        WaterFamily("x", [first, second], scatter=0.1, residual=(0.5, 1.0), drag=(1.2, 0.5))
     path = tmp_path / "x-family.toml"
     path.write_text('schema = "fishmj.water-family/1"\nname = "x"\nmembers = ["a", "b"]\nscatter = 0.1\nresidual = [0, 1]\n')
     with pytest.raises(StoreError, match="a.toml"):

@@ -168,6 +168,11 @@ class StationHold:
         return task.input_scale(self.n_act, self.options.memory).astype(np.float32)
 
     @property
+    def mirror_signs(self) -> np.ndarray:
+        """Signs (n_input,) of the policy's input for the fish's mirror image; the mirror image of an action is its negative."""
+        return task.mirror_signs(self.n_act, self.options.memory).astype(np.float32)
+
+    @property
     def privileged_scale(self) -> np.ndarray:
         """Divisors (n_privileged,) of the privileged input."""
         return task.privileged_scale(self.n_act).astype(np.float32)

@@ -127,6 +127,13 @@ def input_scale(joints: int, memory: int = 1) -> np.ndarray:
     return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
 
 
+def mirror_signs(joints: int, memory: int = 1) -> np.ndarray:
+    """Signs that turn a policy's whole input into that of the fish's mirror image; an action's mirror image is its negative."""
+    side = {"target": [1.0, -1.0], "velocity": [1.0, -1.0]}
+    one = np.concatenate([side.get(group, [-1.0] * width) for group, width in spans(joints).items()])
+    return np.concatenate([one] + [np.concatenate([-np.ones(joints), one])] * (memory - 1))
+
+
 def privileged_scale(joints: int) -> np.ndarray:
     """Divisors of a privileged critic's additional inputs: true observation, flow, share of time left, target within reach."""
     return np.concatenate([input_scale(joints), [DIVISORS["velocity"]] * 2, [1.0], [DIVISORS["near"]] * 2])

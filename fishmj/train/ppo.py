@@ -1,10 +1,11 @@
 """Proximal policy optimisation on one page. Schulman et al. 2017, arXiv 1707.06347; GAE: arXiv 1506.02438.
 
-    L = -E min(rho A, clip(rho, 1 - eps, 1 + eps) A) + c_v E (V - R)^2 - c_e H
+    L = -E min(rho A, clip(rho, 1 - eps, 1 + eps) A) + c_v E (V - R)^2 - c_e H + c_m E |mu(s) + mu(S s)|^2
     A_t = sum_k (gamma lambda)^k delta_{t+k},   delta_t = r_t + gamma V(s'_t) - V(s_t),   R_t = A_t + V(s_t)
 
 The action is tanh(u) with u ~ N(mu(s), sigma); u is stored, so the ratio needs no correction for tanh. An episode that ends
-at its time limit bootstraps from the observation before the restart; one that leaves the tank does not.
+at its time limit bootstraps from the observation before the restart; one that leaves the tank does not. The last term asks that
+the fish's mirror image S s acts as the mirror image, -mu(s) (Yu et al. 2018, arXiv 1801.08093).
 """
 
 from functools import partial
@@ -68,6 +69,7 @@ class PPO:
         self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=config.adam_eps))
         self.obs_scale = jnp.asarray(env.input_scale)
         self.privileged_scale = jnp.asarray(env.privileged_scale)
+        self.mirror_signs = jnp.asarray(env.mirror_signs)
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> PPOTrainState:
@@ -171,7 +173,8 @@ class PPO:
         """Loss, and KL divergence from the policy that collected the batch."""
         c = self.config
         actor, log_sigma, critic = networks
-        log_prob = gaussian(b.u, forward(actor, b.obs, c.activation), log_sigma)
+        mu = forward(actor, b.obs, c.activation)
+        log_prob = gaussian(b.u, mu, log_sigma)
         log_ratio = jnp.clip(log_prob - b.log_prob, -FAR, FAR)
         ratio = jnp.exp(log_ratio)
         # normalised in each minibatch: the step size does not depend on the scale of the reward
@@ -181,7 +184,12 @@ class PPO:
         value_loss = jnp.square(self.value(critic, b.obs, b.privileged_obs) - b.returns).mean()
         entropy = jnp.sum(log_sigma + 0.5 * np.log(2 * np.pi * np.e))
         kl = ((ratio - 1) - log_ratio).mean()  # never negative and of small variance (Schulman 2020)
-        return -surrogate + c.value_weight * value_loss - c.entropy * entropy, kl
+        one_sided = 0.0
+        if c.mirror:
+            # every fourth row of a shuffled minibatch is enough
+            there = forward(actor, b.obs[::4] * self.mirror_signs, c.activation)
+            one_sided = jnp.square(mu[::4] + there).sum(-1).mean()
+        return -surrogate + c.value_weight * value_loss - c.entropy * entropy + c.mirror * one_sided, kl
 
     def update(self, state: PPOTrainState, batch: Batch):
         """Does `epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""

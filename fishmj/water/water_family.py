@@ -4,8 +4,8 @@
     A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them, one for drag and one for the rest:
            two waters of equal thrust may brake differently, and the fits tell the two apart less well than their sum
     A_e    member e of A's ensemble: the error bar of that fit
-    f      a factor for each coefficient, within `scatter`, except for the shape of the stall and the suction; those of the
-           trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0. That of the share of
+    f      a factor for each coefficient, within `scatter`, of drag within `drag`, except for the shape of the stall and the
+           suction; those of the trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0. That of the share of
            the learnt residual, which all members have in common, lies within `residual`
 
 In a stream the fish could not hold in every such water: with v_m the speed of the fastest gait in member m, a draw whose
@@ -48,6 +48,7 @@ class FamilyFile(BaseModel):
     members: Annotated[list[Annotated[str, Field(pattern=rf"^{names.PATTERN}$")]], Field(min_length=2, max_length=32)]
     scatter: Annotated[float, Field(ge=0.0, le=0.5)]
     residual: tuple[Annotated[float, Field(ge=0.0, le=2.0)], Annotated[float, Field(ge=0.0, le=2.0)]]
+    drag: tuple[Annotated[float, Field(gt=0.0, le=2.0)], Annotated[float, Field(gt=0.0, le=2.0)]] | None = None
     fastest: list[Annotated[float, Field(gt=0.0, le=20.0)]] = []  # m/s, of the fastest gait in each member
     commands: list[str] = []  # that made the members
 
@@ -59,12 +60,15 @@ class WaterFamily:
         members: the fitted waters. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
             members from them.
         scatter: largest relative change of a coefficient. residual: bounds of the factor of the residual's share.
+        drag: mask (P,) of the drag's coefficients, and drag_factors their bounds; default, those of `scatter`.
         fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
     Raises:
         ConfigError: members of different bodies, time steps or residuals, or another number of speeds.
     """
 
-    def __init__(self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float], fastest=()):
+    def __init__(
+        self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float], drag=None, fastest=()
+    ):
         if len(fastest) not in (0, len(members)):
             raise ConfigError(
                 f"family {name}: fastest has {len(fastest)} speeds; expected one for each of {len(members)} members"
@@ -77,22 +81,29 @@ class WaterFamily:
             if _residual_sha256(other) != _residual_sha256(first):
                 said = f"python -m fishmj.hydro_fit fit --residual {first.name}"
                 raise ConfigError(f"family {name}: {other.name} has another learnt residual than {first.name}; fit it by {said}")
-        if residual[0] > residual[1]:
-            raise ConfigError(f"family {name}: residual = {residual}; expected the smaller share first")
+        self.drag_factors = drag or (1.0 - scatter, 1.0 + scatter)
+        for key, bounds in (("residual", residual), ("drag", self.drag_factors)):
+            if bounds[0] > bounds[1]:
+                raise ConfigError(f"family {name}: {key} = {bounds}; expected the smaller number first")
         self.name, self.members, self.scatter, self.residual = name, members, scatter, residual
+        self._own = [] if drag is None else [drag]  # what older families do not state
         self.names = names_of(len(first.base.k))
         self.base = self._forces(np.stack([flat(model.base) for model in members]))
         count = min(len(model.members) for model in members)
         self.deviation = np.stack([self._forces(model.members[:count]) for model in members]) - self.base[:, None]
-        self.factored = np.array([key not in KEPT for key in self.names])
+        factored = np.array([key not in KEPT for key in self.names])
         self.drag = np.array([key.rstrip("0123456789") in DRAG for key in self.names])
+        self.factors = np.where(
+            self.drag, np.array(self.drag_factors)[:, None], 1.0 + scatter * np.array([[-1.0], [1.0]]) * factored
+        )
         self.fastest = np.asarray(fastest, float)
 
     @property
     def sha256(self) -> str:
         """Hex digest of all members and of what is drawn between them."""
         parts = [*(model.sha256 for model in self.members), self.base.tobytes().hex(), self.deviation.tobytes().hex()]
-        return hashlib.sha256(repr([*parts, self.scatter, self.residual, *self.fastest.tolist()]).encode()).hexdigest()
+        drawn = [self.scatter, self.residual, *self.fastest.tolist(), *self._own]
+        return hashlib.sha256(repr([*parts, *drawn]).encode()).hexdigest()
 
     @property
     def width(self) -> int:
@@ -114,7 +125,8 @@ class WaterFamily:
             swims = xp.minimum(*((1.0 - u[:, k]) * speed[a] + u[:, k] * speed[b] for k in (2, 5)))
             share = xp.clip((RESERVE * stream - swims) / xp.maximum(speed[top] - swims, 1e-6), 0.0, 1.0)
             drawn = drawn + share[:, None] * (base[top] - drawn)
-        factor = 1.0 + self.scatter * (2.0 * u[:, N_FIXED:] - 1.0) * xp.asarray(self.factored, dtype=base.dtype)
+        least, most = xp.asarray(self.factors, dtype=base.dtype)
+        factor = least + (most - least) * u[:, N_FIXED:]
         low, high = self.residual
         rows = base[0] + strength * (drawn * factor - base[0])
         share = base[0, -1] + strength * (drawn[:, -1] * (low + (high - low) * u[:, 4]) - base[0, -1])
@@ -155,11 +167,12 @@ class WaterFamily:
         except ConfigError as error:
             raise StoreError(str(error)) from error
         try:
-            found = FamilyFile.model_validate({**table, "residual": tuple(table.get("residual", ()))})
+            found = FamilyFile.model_validate({key: tuple(v) if key in ("residual", "drag") else v for key, v in table.items()})
         except (ValidationError, TypeError) as error:
             raise ConfigError(f"{path}: not a family of waters: {error}") from error
         members = [HydroModel.load(path.with_name(f"{member}.toml")) for member in found.members]
-        return cls(found.name, members, scatter=found.scatter, residual=found.residual, fastest=found.fastest)
+        more = {"drag": found.drag, "fastest": found.fastest}
+        return cls(found.name, members, scatter=found.scatter, residual=found.residual, **more)
 
 
 def _residual_sha256(model: HydroModel) -> str:

@@ -22,9 +22,7 @@ from fishmj.evaluate.experiments.paper_experiment import (
 from fishmj.evaluate.plots import COLOURS, FAINT, INK, STYLE
 from fishmj.evaluate.protocol import ANGLE, Trials
 from fishmj.mjcf.description import Robot
-from fishmj.tasks.station_hold import spans
-
-LATERAL = {"target": (1, -1), "velocity": (1, -1), "yaw_rate": (-1,)}  # signs of a mirrored observation; of joints all -1
+from fishmj.tasks.station_hold import mirror_signs
 
 
 class MirroredTrials(Trials):
@@ -45,8 +43,7 @@ class MirroredTrials(Trials):
 
     def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:
         """Noise of the originals, mirrored."""
-        signs = [LATERAL.get(name, (-1,) * width) for name, width in spans(robot.n_joints).items()]
-        return super().sensor_noise(robot, steps) * np.concatenate(signs)
+        return super().sensor_noise(robot, steps) * mirror_signs(robot.n_joints)
 
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
