@@ -188,7 +188,7 @@ class Sim:
 
         s, rows = self.swimmer, lambda values: np.array([values], float)
         own = {name: rows(getattr(s, name)) for name in ("mass", "kp", "kv", "kb", "zero")}
-        own |= {"water": rows(flat(s.water)), "delay": np.array([self.delay])}
+        own |= {"water": rows(flat(s.water)), "delay": np.array([self.delay]), "net": np.array([s.net])}
         self._params = engines.nominal_params(self.robot, 1)._replace(**own)
         self._buffer = engines.rows_of(self.robot)
         return given if isinstance(given, Hybrid) else Hybrid(self.robot, given, kind=self.flow)

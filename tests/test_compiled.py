@@ -51,7 +51,12 @@ def varied(batch, turbulence="default", seed=0, dtype=np.float64):
     params = engines.nominal_params(ROBOT, batch)
     vary = lambda a, share: a * rng.uniform(1 - share, 1 + share, a.shape)
     params = FishParams(
-        *(vary(a, 0.2) for a in params[:4]), rng.uniform(-0.09, 0.09, (batch, 3)), vary(params.water, 0.2), None, params.effects
+        *(vary(a, 0.2) for a in params[:4]),
+        rng.uniform(-0.09, 0.09, (batch, 3)),
+        vary(params.water, 0.2),
+        None,
+        params.effects,
+        params.net,
     )
     params = params._replace(delay=rng.integers(0, 40, batch).astype(np.int32))
     table, cell = table_of(turbulence)

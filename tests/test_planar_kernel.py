@@ -28,7 +28,8 @@ def engine_of(name: str, seed: int = 0) -> planar.PlanarEngine:
     net = residual_network.blank(engine.chain.n, 2, 6, seed=seed)
     net = net._replace(**{part: rng.normal(0, 0.5, getattr(net, part).shape) for part in ("wake_bias", "outer", "even", "odd")})
     reach = residual_hooks.unlimited(engine.chain.n)._replace(speed=np.full(engine.chain.n, 1.2), spread=np.array(1.0))
-    engine.added = replace(engine.added, learnt=residual_hooks.Residual(net, reach))
+    learnt = residual_hooks.Residual(net, reach)
+    engine.added = replace(engine.added, learnt=learnt, nets=(learnt,))
     return engine
 
 
@@ -64,6 +65,26 @@ def test_the_kernel_swims_as_the_steps_in_xla_do(name, monkeypatch):
             np.testing.assert_allclose(np.asarray(other), np.asarray(one), rtol=1e-5, atol=1e-5 * np.abs(one).max())
     outside = np.asarray(ends[0].memory)[:, -1] - np.asarray(state.memory)[:, -1]
     assert 0 < outside.max() and outside.min() < 3 * engine.steps  # both ways through the range were taken
+
+
+def test_the_kernel_gives_each_fish_its_own_residual(monkeypatch):
+    """Blocks of four fish: in one, two of three residuals act; in the other, one."""
+    monkeypatch.setattr(planar_kernel, "BLOCK", 4)
+    engine, nets = swimming("tendon_fish"), [engine_of("tendon_fish", seed).added.learnt for seed in (0, 3, 4)]
+    engine.added = replace(engine.added, learnt=nets[0], nets=tuple(nets))
+    state, params, *others = given_to(engine, 8)
+    params = params._replace(net=jnp.array([1, 0, 1, 1, 2, 2, 2, 2], jnp.int32))
+    quickly = {"xla_backend_optimization_level": 0}
+    ends = [
+        jax.jit(way).lower(state, params, *others).compile(compiler_options=quickly)(state, params, *others)
+        for way in (engine.physics, partial(planar_kernel.physics, engine, interpret=True))
+    ]
+    for one, other in zip(*map(jax.tree.leaves, ends), strict=True):
+        np.testing.assert_allclose(np.asarray(other), np.asarray(one), rtol=1e-5, atol=1e-5 * np.abs(one).max())
+    monkeypatch.undo()
+    given = given_to(engine, planar_kernel.BLOCK)
+    traced = jax.jit(partial(planar_kernel.physics, engine)).trace(*given)
+    assert traced.lower(lowering_platforms=("cuda",)).as_text().count("xla.gpu.triton") == 1
 
 
 @pytest.fixture

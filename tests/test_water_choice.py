@@ -12,7 +12,7 @@ from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
 from fishmj.tasks.station_hold import draw_fish, n_fish
 from fishmj.water import choice
-from fishmj.water.choice import chosen, family_in, in_water, label, residual_of
+from fishmj.water.choice import chosen, family_in, in_water, label, residuals_of
 from fishmj.water.flow import Flow
 
 FISH = load_robot("fish")
@@ -26,7 +26,7 @@ def longer(robot):
 
 def test_fitted_is_the_default_wherever_the_body_has_one():
     assert chosen(FISH).kind == "fitted" and label(chosen(FISH).robot) == "swift"
-    assert residual_of(chosen(FISH).robot) is not None
+    assert residuals_of(chosen(FISH).robot)
     assert "fitted (swift: strips and learnt residual, slip 1)" == chosen(FISH).said
     assert chosen(load_robot("tendon_fish")).kind == "fitted"
     other = chosen(longer(FISH))

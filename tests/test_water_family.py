@@ -5,16 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fishmj import suite
+from fishmj import engines, suite
 from fishmj.base.errors import ConfigError, StoreError
+from fishmj.engines import planar_kernel
 from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.gym.fish_env import FishEnv
+from fishmj.water import residual_step
 from fishmj.water.choice import chosen, family_in, family_of
+from fishmj.water.dynamics import planar_chain
+from fishmj.water.flow import Flow, stack
 from fishmj.water.prior import STEEPEST, flat, unflat
-from fishmj.water.water_family import EDGE, RESERVE, WaterFamily
+from fishmj.water.water_family import EDGE, MANY, RESERVE, RUN, WaterFamily
 from fishmj.water.water_identity import water_identity
 
 FISH = chosen(load_robot("fish"), "family").robot
@@ -47,7 +51,59 @@ def test_draws_without_factors_lie_between_two_members():
     drag, rest = (plain.names.index(key) for key in ("cf", "k1"))
     between = lambda column: (drawn[:, column] - ends[0][:, column]) / (ends[1] - ends[0])[:, column]
     apart = (a != b) & (np.abs(ends[1] - ends[0])[:, [drag, rest]].min(-1) > 1e-3)
-    assert np.allclose(between(rest)[apart], DRAWS[apart, 2]) and np.allclose(between(drag)[apart], DRAWS[apart, 5])
+    way = np.where(plain.net[a] == plain.net[b], 1.0, 0.5)  # A, whose residual acts, stays the nearer
+    assert set(way[apart]) == {0.5, 1.0}
+    for column, weight in ((rest, 2), (drag, 5)):
+        assert np.allclose(between(column)[apart], (way * DRAWS[:, weight])[apart])
+
+
+def test_a_draw_has_the_residual_of_its_nearer_member():
+    import jax.numpy as jnp
+
+    assert [model.learnt is FAMILY.nets[k] for model, k in zip(FAMILY.members, FAMILY.net, strict=True)].count(True) >= 3
+    a = (DRAWS[:, 0] * len(FAMILY.members)).astype(int)
+    assert (FAMILY.net_of(np, DRAWS) == FAMILY.net[a]).all() and (FAMILY.net_of(np, DRAWS, 0.0) == 0).all()
+    many = jnp.asarray(np.resize(DRAWS, (MANY, FAMILY.width)))
+    net = np.asarray(FAMILY.net_of(jnp, many)).reshape(-1, RUN)
+    assert (net == net[:, :1]).all() and len(set(net[:, 0])) == len(FAMILY.nets)  # side by side, as a kernel wants them
+    assert np.array_equal(FAMILY.net_of(np, np.asarray(many)), net.ravel())
+    assert (MANY, RUN) == (residual_step.FEWEST, planar_kernel.BLOCK)
+
+
+OWNERS = [FAMILY.members[list(FAMILY.net).index(k)].name for k in range(len(FAMILY.nets))]  # a member with each residual
+
+
+@pytest.mark.parametrize("name", ["planar", "compiled", "batch"])
+def test_an_engine_gives_each_fish_its_own_residual(name):
+    """A mixed batch against batches of fish in the members' own fits, with equal strips."""
+    net = np.array([2, 0, 1, 0, 2, 1], np.int32)
+    robot, count = engines.in_water(load_robot("fish"), "swift-family"), len(net)
+    params = engines.nominal_params(robot, count)
+    commands = np.tile(0.6 * np.sin(1.3 * np.arange(10)[:, None] - np.arange(3)), (count, 1, 1)).astype(np.float32)
+
+    def swum(water, params):
+        fish = engines.in_water(load_robot("fish"), water)
+        start = engines.at_rest(fish, np.zeros((count, 3)))
+        return np.asarray(
+            engines.make(name, fish).advance(start, commands, params, stack([Flow()] * count), np.zeros(count, int))[1].pose
+        )
+
+    mixed, own = swum("swift-family", params._replace(net=net)), [swum(water, params) for water in OWNERS]
+    assert len(OWNERS) == 3 and np.ptp([poses[0, -1] for poses in own], axis=0).max() > 1e-4  # the residuals differ
+    for fish, k in enumerate(net):
+        np.testing.assert_allclose(mixed[fish], own[k][fish], atol=1e-6)
+
+
+def test_a_sim_takes_the_residual_of_its_swimmer():
+    robot = chosen(load_robot("fish"), "family").robot
+    strips = planar_chain.nominal(robot)
+    for k, water in enumerate(OWNERS):
+        ends = []
+        for sim in Sim(robot, swimmer=strips._replace(net=k)), Sim("fish", water=water, swimmer=strips):
+            for n in range(20):
+                sim.step(0.5 * np.sin(0.13 * n - np.arange(3)))
+            ends.append(np.array(sim.pose))
+        np.testing.assert_allclose(*ends, atol=1e-12)
 
 
 def test_all_draws_are_passive_and_a_description_may_state_them():
@@ -70,7 +126,7 @@ def test_members_of_other_bodies_residuals_or_bounds_are_refused(tmp_path):
     first, second = FAMILY.members[:2]
     with pytest.raises(ConfigError, match="another body_sha256"):
         WaterFamily("x", [first, replace(second, body_sha256="0" * 64)], scatter=0.1, residual=(0.5, 1.0))
-    with pytest.raises(ConfigError, match="another learnt residual.*--residual swift"):
+    with pytest.raises(ConfigError, match="residual of .* has another size"):
         WaterFamily("x", [first, replace(second, learnt=None)], scatter=0.1, residual=(0.5, 1.0))
     with pytest.raises(ConfigError, match="the smaller number first"):
         WaterFamily("x", [first, second], scatter=0.1, residual=(1.0, 0.5))
@@ -122,10 +178,12 @@ def test_a_stream_draws_waters_in_which_the_fish_can_hold():
     stream = np.linspace(0.0, 0.7, len(DRAWS))
     free, drawn = bounded.draw(np, DRAWS), bounded.draw(np, DRAWS, stream=stream)
     a, b = (DRAWS[:, 0] * 3).astype(int), (DRAWS[:, 1] * 3).astype(int)
-    swims = np.min([(1 - w) * bounded.fastest[a] + w * bounded.fastest[b] for w in (DRAWS[:, 2], DRAWS[:, 5])], 0)
+    way = np.where(bounded.net[a] == bounded.net[b], 1.0, 0.5)
+    swims = np.min([(1 - w) * bounded.fastest[a] + w * bounded.fastest[b] for w in (way * DRAWS[:, 2], way * DRAWS[:, 5])], 0)
     enough = swims >= RESERVE * stream
     assert 0.1 < enough.mean() < 0.9 and np.allclose(free[enough], drawn[enough]) and (free != drawn)[~enough].any(1).all()
-    assert np.allclose(drawn[RESERVE * stream > top], flat(FAMILY.members[0].base))  # none is enough: the fastest member
+    none = RESERVE * stream > top  # the fastest member's forces
+    assert np.allclose(drawn[none], flat(FAMILY.members[0].base))
     theirs = bounded.draw(jnp, jnp.asarray(DRAWS), stream=jnp.asarray(stream))
     assert np.allclose(drawn, theirs, rtol=2e-5, atol=1e-5)
     with pytest.raises(ConfigError, match="fastest has 2 speeds; expected one for each of 3"):

@@ -52,6 +52,7 @@ class FishParams(NamedTuple):
     water: Any  # (B, 2 N + 11) coefficients of the strip model, flat
     delay: Any  # (B,) int, command latency in physics steps, effects included
     effects: Any  # (B, P) parameters of the robot's effects, in the order of its description
+    net: Any  # (B,) int, which of the learnt residuals of the robot's water (`Extensions.nets`)
 
 
 class Trace(NamedTuple):
@@ -141,6 +142,7 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
         water=rows(flat_water(s.water)),
         delay=np.full(batch, delay, np.int32),
         effects=rows(added.row),
+        net=np.full(batch, s.net, np.int32),
     )
 
 
@@ -154,7 +156,7 @@ def swimmer(params: FishParams) -> planar_chain.Swimmer:
     """Component lists for the closed form from (B, ...) arrays."""
     columns = lambda a: [a[..., i] for i in range(a.shape[-1])]
     mass, kp, kv, kb, zero, water = (columns(a) for a in params[:6])
-    return planar_chain.Swimmer(mass, kp, kv, kb, zero, unflat(water))
+    return planar_chain.Swimmer(mass, kp, kv, kb, zero, unflat(water), params.net[...])
 
 
 def at_rest(robot: Robot, pose) -> FishState:

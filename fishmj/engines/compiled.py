@@ -85,17 +85,17 @@ class CompiledEngine(Copied):
         self.arguments = self.robot, threads, dtype
         self.steps, self.ticks = ticks_per(self.robot)
         self.buffer, self.added = rows_of(self.robot), Extensions.of(self.robot)
-        self._packed: dict[np.dtype, np.ndarray] = {}
+        self._packed: dict[np.dtype, list[np.ndarray]] = {}
         self.threads = threads or usable_cores()
         self._pool: ThreadPoolExecutor | None = None
         self._owner = 0  # process of the pool
 
-    def _numbers(self, dtype: np.dtype) -> np.ndarray:
-        """Learnt residual as one flat array, empty if there is none."""
-        learnt, of = self.added.learnt, self._packed
+    def _numbers(self, dtype: np.dtype) -> list[np.ndarray]:
+        """Each learnt residual as one flat array; an empty one if there is none."""
+        of, dt = self._packed, self.robot.timing.physics_dt
         if dtype not in of:
-            dt = self.robot.timing.physics_dt
-            of[dtype] = np.zeros(0, dtype) if learnt is None else residual_lanes.flat_weights(learnt, dt, dtype)
+            packed = [residual_lanes.flat_weights(learnt, dt, dtype) for learnt in self.added.nets]
+            of[dtype] = packed or [np.zeros(0, dtype)]
         return of[dtype]
 
     @cached_property
@@ -124,6 +124,13 @@ class CompiledEngine(Copied):
         return self._advance_traced(*given) if _is_traced(given) else self._advance_numpy(*given)
 
     def _advance_numpy(self, state, commands, params, current, tick):
+        if (net := self._mixed(params.net)) is not None:
+            part = lambda here: self._advance_numpy(
+                *(_rows_of(tree, here) for tree in (state, commands, params)),
+                _rows_of(current._replace(cell=(), table=()), here)._replace(cell=current.cell, table=current.table),
+                np.asarray(tick)[here],
+            )
+            return _together(net, part)
         batch, ticks, joints = commands.shape
         real, read = self.dtype, _reader(batch, self.dtype)
         fresh = lambda *args: np.array(read(*args))  # the loop writes into its state
@@ -138,7 +145,9 @@ class CompiledEngine(Copied):
         swimmer = self._swimmer(read, params)
         bodies = ((q, v, _column(attached), memory), buffer, read("commands", commands, ticks, joints), swimmer)
         self._share(
-            batch, self._advance, (self._numbers(real), *bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace)
+            batch,
+            self._advance,
+            (self._of(params, real), *bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace),
         )
         return FishState(q, v, attached, buffer, memory), Trace(*trace[:4], trace[4][..., 0])
 
@@ -150,6 +159,9 @@ class CompiledEngine(Copied):
             flow: (B, N, 2) water velocity at the links, m/s. ambient: (B, 2) DU/Dt, m/s2. World frame.
             memory: (B, M) of `FishState`; not needed for a robot without effects and residual.
         """
+        if (net := self._mixed(params.net)) is not None:
+            given = (q, v, attached, params, target, flow, ambient, *(() if memory is None else (memory,)))
+            return _together(net, lambda here: self.forces(*_rows_of(given, here)))
         batch, joints = len(q), self.robot.n_joints
         read = _reader(batch, np.dtype(np.float64))
         memory = read("memory", np.zeros((batch, 0)) if memory is None else memory, len(self.added.memory))
@@ -157,7 +169,7 @@ class CompiledEngine(Copied):
         around = read("flow", flow, joints + 1, 2).reshape(batch, 2 * joints + 2)
         given = (state, self._swimmer(read, params), read("target", target, joints), around, read("ambient", ambient, 2))
         out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1, memory.shape[1]))
-        self._share(batch, self._evaluate, (self._numbers(np.dtype(float)), *given, out))
+        self._share(batch, self._evaluate, (self._of(params, np.dtype(float)), *given, out))
         return Applied(out[0], out[1][:, 0], out[2][:, 0], out[3])
 
     def look(self, q, current: Current, tick) -> tuple[np.ndarray, np.ndarray]:
@@ -168,6 +180,17 @@ class CompiledEngine(Copied):
         out = np.empty((batch, 2 * links)), np.empty((batch, 2))
         self._share(batch, self._look, (read("q", q, links + 2), water, _column(read("tick", tick)), *flow, out))
         return out[0].reshape(batch, links, 2), out[1]
+
+    def _mixed(self, net) -> np.ndarray | None:
+        """Residual of each fish (B,) if there are several that act; a loop of the machine code has one."""
+        if len(self.added.nets) < 2 or (net := np.asarray(net, int)).size == 0 or (net == net[0]).all():
+            return None
+        return net
+
+    def _of(self, params: FishParams, dtype: np.dtype) -> np.ndarray:
+        """The numbers of the residual of these fish, which have the same."""
+        net = np.asarray(params.net, int)
+        return self._numbers(dtype)[net[0] if len(self.added.nets) > 1 and net.size else 0]
 
     def _swimmer(self, read, params: FishParams) -> tuple:
         j = self.robot.n_joints
@@ -215,13 +238,35 @@ class CompiledEngine(Copied):
         if jax.default_backend() == "cpu":
             does = f"{sizes} {results} {tree} {given[0].shape} {given[1].shape}"  # the kernel's module is named by its text
             # and its numbers separately: fitted waters of one shape share the module
-            digest = hashlib.sha256(does.encode() + self._numbers(real).tobytes()).hexdigest()
+            digest = hashlib.sha256(does.encode() + b"".join(a.tobytes() for a in self._numbers(real))).hexdigest()
             name = f"{self._advance.py_func.__module__}_{digest[:24]}"
             out = host_call(name, host, shape, *given)
         else:
             out = jax.pure_callback(host, shape, *given, vmap_method="sequential")
         out = _unpack(out, results)
         return FishState(*out[:5]), Trace(*out[5:])
+
+
+def _rows_of(tree, here: np.ndarray):
+    """Rows `here` of every array of nested tuples; empty tuples stay."""
+    if not isinstance(tree, tuple):
+        return np.asarray(tree)[here]
+    rows = [_rows_of(part, here) for part in tree]
+    return type(tree)(*rows) if hasattr(tree, "_fields") else tuple(rows)
+
+
+def _together(net: np.ndarray, of: Callable):
+    """What `of` gives for the fish of each residual, in the order of all fish."""
+    groups = [np.flatnonzero(net == number) for number in np.unique(net)]
+    order = np.argsort(np.concatenate(groups))
+
+    def joined(*parts):
+        if not isinstance(parts[0], tuple):
+            return np.concatenate(parts)[order]
+        made = [joined(*each) for each in zip(*parts, strict=True)]
+        return type(parts[0])(*made) if hasattr(parts[0], "_fields") else tuple(made)
+
+    return joined(*map(of, groups))
 
 
 def _reader(batch: int, dtype: np.dtype):

@@ -20,7 +20,7 @@ from fishmj import effects
 from fishmj.base.errors import ConfigError
 from fishmj.effects.effect_calibration import FittedEffect, activate
 from fishmj.mjcf.description import Robot
-from fishmj.water.choice import residual_of
+from fishmj.water.choice import residuals_of
 from fishmj.water.dynamics import planar_chain as chain
 from fishmj.water.dynamics.hooks import Effects
 
@@ -39,7 +39,8 @@ class Extensions:
 
     Attributes:
         active: the effects, or None. row: (P,) their calibrated values. memory: (M,) initial memory of a fish.
-        learnt: the learnt residual force, or None. robot: the one that it acts on.
+        learnt: the learnt residual force, or None. robot: the one that it acts on. nets: all residuals between which
+            `FishParams.net` chooses: that one, or those of a family of waters.
     """
 
     active: "effects.EffectStack | None"
@@ -47,6 +48,7 @@ class Extensions:
     memory: np.ndarray
     learnt: Any
     robot: Robot
+    nets: tuple = ()
 
     @classmethod
     def of(cls, robot: Robot) -> "Extensions":
@@ -54,12 +56,12 @@ class Extensions:
         active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
         if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
             warnings.warn(f"{robot.name}: no simulator draws {', '.join(idle)}; generators of data do", stacklevel=2)
-        memory, learnt = [] if active is None else list(active.memory), residual_of(robot)
-        if learnt is not None:
+        memory, nets = [] if active is None else list(active.memory), residuals_of(robot)
+        if nets:
             from fishmj.water.residual_hooks import at_rest
 
             memory += at_rest()
-        return cls(active, row, np.array(memory, float), learnt, robot)
+        return cls(active, row, np.array(memory, float), nets[0] if nets else None, robot, nets)
 
     @cached_property
     def chain(self) -> chain.Chain:
@@ -76,7 +78,7 @@ class Extensions:
             return inner
         from fishmj.water.residual_hooks import LearnedResidual
 
-        return LearnedResidual(xp, self.chain, self.learnt, memory, inner)
+        return LearnedResidual(xp, self.chain, self.nets if len(self.nets) > 1 else self.learnt, memory, inner)
 
     def late(self, xp, rows, clock: str, t=0.0):
         """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 if no effect delays it."""

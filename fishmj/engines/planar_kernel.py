@@ -3,12 +3,13 @@
     state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.PlanarEngine.physics`, float32
 
 `PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Parameters and state of a fish stay
-in registers; the weights of the learnt force, the same for all, come from cache. The kernel computes the forward pass only;
+in registers; the weights of the learnt forces, the same for all, come from cache. The kernel computes the forward pass only;
 gradients use the same steps in XLA.
 """
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,13 +37,14 @@ tick.defvjp(lambda engine, *given: jax.vjp(engine.physics, *given), lambda engin
 
 def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = False):
     """Computes `engine.physics` by the kernel; interpret: in plain JAX, on any machine."""
-    count, learnt = len(state.attached), engine.added.learnt
+    count, nets = len(state.attached), engine.added.nets
     # two tables: parameters do not change from tick to tick, so their table can be made once
     given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=(), effects=())
     tables, places = zip(*map(_side_by_side, given), strict=True)
-    weights = residual_kernel.tables_of(residual_network.halves(np, learnt.net))
+    each = [residual_kernel.tables_of(residual_network.halves(np, one.net)) for one in nets]
+    weights = tuple(jnp.concatenate(tables) for tables in zip(*each, strict=True))
     nones = jnp.zeros(engine.steps, jnp.int32)
-    reach = jax.tree.map(lambda a: np.asarray(a).tolist(), learnt.reach)  # a kernel takes no arrays but its arguments
+    reach = _reach(nets)
 
     def kernel(*refs):
         held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
@@ -54,7 +56,11 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
         def step(k, carry):
             carry, (target, *later) = carry
             network = partial(residual_kernel.network, weights, tanh=tanh, none=nones[k] & 1, together=UNITS)
-            added = replace(engine.added, learnt=Residual(network, reach))
+            if len(nets) == 1:
+                learnt: Any = Residual(network, reach[0])
+            else:
+                learnt = partial(_own, lambda own: Residual(partial(network, which=(own, len(nets))), _at(reach, own)))
+            added = replace(engine.added, learnt=learnt, nets=())
             return engine.step(added, *fixed, carry, target), [*later, target]
 
         _, steps, joints = targets.shape
@@ -77,6 +83,33 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     )(*rows, nones, *weights)
     q, v, attached, memory, power = jnp.split(out[:count, : ends[-1] + 1], ends, 1)
     return FishState(q, v, attached[:, 0], (), memory), power[:, 0]
+
+
+def _reach(nets) -> list:
+    """Ranges of residuals as nested lists of numbers: a kernel takes no arrays but its arguments."""
+    return [jax.tree.map(lambda a: np.asarray(a).tolist(), one.reach) for one in nets]
+
+
+def _at(reach: list, own):
+    """The range of residual `own`, a number that the kernel finds as it runs."""
+    one_hot = [(own == k).astype(jnp.float32) for k in range(len(reach))]  # Triton takes no choice between two numbers
+    return jax.tree.map(lambda *each: sum(there * value for there, value in zip(one_hot, each, strict=True)), *reach)
+
+
+def _own(residual, net, of):
+    """Results that `of` gives of each fish's own residual; those that no fish of the block has are not computed.
+
+    residual: function of the number of a residual. net: (BLOCK,) numbers, floats.
+    """
+    shape = jax.eval_shape(lambda: of(residual(jnp.int32(0))))
+    blank = jax.tree.map(lambda a: jnp.zeros(net.shape, jnp.float32), shape)
+
+    def take(own, made):
+        found = jax.tree.map(lambda a: jnp.broadcast_to(jnp.asarray(a, jnp.float32), net.shape), of(residual(own)))
+        return jax.tree.map(lambda one, other: jnp.where(net == own.astype(jnp.float32), one, other), found, made)
+
+    first, last = (edge(net).astype(jnp.int32) for edge in (jnp.min, jnp.max))
+    return lax.fori_loop(first, last + 1, take, blank)
 
 
 def _power(count: int) -> int:

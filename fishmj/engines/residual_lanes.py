@@ -127,7 +127,7 @@ class PrecomputedResidual(residual_hooks.LearnedResidual):
         n = ch.n
         self.answer = [coefficients[i * n : (i + 1) * n] for i in range(3)], spread, wake
 
-    def network(self, m, z, dt):
+    def network(self, learnt, m, z, dt):
         """Given output of the network."""
         return self.answer
 

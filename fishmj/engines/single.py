@@ -242,7 +242,9 @@ def water_of(
         return HookedWater(robot, added, swimmer, wet=wet)
     if not wet:
         return MujocoWater(model, swimmer, wind=name == "ellipsoid")
-    strips = {"planar": PlanarWater, "free": FreeWater}[root](robot, swimmer, learnt=added.learnt)
+    strips = {"planar": PlanarWater, "free": FreeWater}[root](
+        robot, swimmer, learnt=added.nets[int(swimmer.net)] if added.nets else None
+    )
     return {"callback": StripWater, "xfrc": WrenchWater}[way](model, strips)
 
 

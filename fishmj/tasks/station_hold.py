@@ -82,15 +82,17 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), str
     if effects and added.active is not None:
         rows = randomise.drawn(xp, added.active, rows, effects, uniforms[:, m:], strength)
     delay = delay + added.late(xp, rows, "command")
+    own = uniforms[:, uniforms.shape[1] - drawn :]
     fish = FishParams(
         mass=1 + strength * get("mass") * span(0, n),
         kp=p.kp * (1 + strength * get("kp") * span(n, n + j)),
         kv=p.kv * kd,
         kb=p.kb * kd,
         zero=strength * radians(get("zero_deg")) * span(n + 2 * j, n + 3 * j),
-        water=family.draw(xp, uniforms[:, uniforms.shape[1] - drawn :], strength, stream) if family else like + p.water,
+        water=family.draw(xp, own, strength, stream) if family else like + p.water,
         delay=xp.floor(delay / robot.timing.physics_dt + 0.5).astype("int32"),
         effects=rows,
+        net=family.net_of(xp, own, strength) if family else (0 * like[:, 0]).astype("int32"),
     )
     sensors = Sensors(robot)
     most = camera_ticks(robot) + sensors.frames - sensors.slow

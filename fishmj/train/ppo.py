@@ -184,12 +184,12 @@ class PPO:
         value_loss = jnp.square(self.value(critic, b.obs, b.privileged_obs) - b.returns).mean()
         entropy = jnp.sum(log_sigma + 0.5 * np.log(2 * np.pi * np.e))
         kl = ((ratio - 1) - log_ratio).mean()  # never negative and of small variance (Schulman 2020)
-        one_sided = 0.0
+        loss = -surrogate + c.value_weight * value_loss - c.entropy * entropy
         if c.mirror:
             # every fourth row of a shuffled minibatch is enough
             there = forward(actor, b.obs[::4] * self.mirror_signs, c.activation)
-            one_sided = jnp.square(mu[::4] + there).sum(-1).mean()
-        return -surrogate + c.value_weight * value_loss - c.entropy * entropy + c.mirror * one_sided, kl
+            loss += c.mirror * jnp.square(mu[::4] + there).sum(-1).mean()
+        return loss, kl
 
     def update(self, state: PPOTrainState, batch: Batch):
         """Does `epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""

@@ -15,7 +15,7 @@ from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf.reading import load_robot
 from fishmj.train.build import config_of, pick_engine, robot_for
 from fishmj.train.settings import Settings
-from fishmj.water.choice import LBM, residual_of
+from fishmj.water.choice import LBM, residuals_of
 
 CPU, GPU = "cpu", "gpu"
 ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench engine_...`; README)
@@ -58,7 +58,7 @@ def seconds(settings: Settings) -> float:
     kind = _kind()
     cores = usable_cores() if kind == CPU else 1
     work = config_of(settings).operations(widths(settings))
-    engine = (ENGINE if residual_of(robot_for(settings)) is None else LEARNT)[kind][pick_engine(settings)]
+    engine = (LEARNT if residuals_of(robot_for(settings)) else ENGINE)[kind][pick_engine(settings)]
     return settings.steps * (1 / engine + work / ARITHMETIC[kind]) / cores
 
 

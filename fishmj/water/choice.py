@@ -214,17 +214,19 @@ def _dry(robot: Robot) -> dict[str, Any]:
     }
 
 
-def residual_of(robot: Robot):
-    """Learnt force of the robot's water, or None for strips alone. Raises ConfigError for a water of other links."""
+def residuals_of(robot: Robot) -> tuple:
+    """Learnt forces of the robot's water: none for strips alone, several in a family. Raises ConfigError for one of other links."""
     model = model_of(robot)
     if model is None:
-        return None
+        return ()
     if (links := len(model.base.k)) != len(robot.links):
         raise ConfigError(
             f"robot {robot.name!r} [water] model: got {label(robot)!r}, fitted for {model.robot!r} of {links} links, expected"
             f" one for {len(robot.links)} links; 'structured' fits every robot"
         )
-    return model.learnt
+    if (family := family_in(robot)) is not None:
+        return family.nets
+    return () if model.learnt is None else (model.learnt,)
 
 
 @lru_cache(8)

@@ -80,16 +80,24 @@ def inside(xp, r: MotionRange, xi: list, speed, i: int):
 _panels = lru_cache(8)(residual_network.panels)  # of a chain, wanted at every step
 
 
+def either(xp, there, one, other):
+    """Nested lists of arrays: those of `one` where `there` holds, else those of `other`."""
+    if isinstance(one, list | tuple):
+        return [either(xp, there, a, b) for a, b in zip(one, other, strict=True)]
+    return xp.where(there, one, other)
+
+
 class LearnedResidual:
     """Hooks that add a residual.
 
     Args:
         ch: the chain whose links the residual was fitted for.
+        learnt: the residual; several, of which each fish has that of its `Swimmer.net`; or a function that chooses among them.
         memory: flat list, inner's first where there is an `inner`.
         inner: other hooks, such as `hooks.Effects`.
     """
 
-    def __init__(self, xp, ch: planar_chain.Chain, learnt: Residual, memory, inner: Any = None):
+    def __init__(self, xp, ch: planar_chain.Chain, learnt: Any, memory, inner: Any = None):
         self.xp, self.learnt, self.inner, self.panels = xp, learnt, inner, _panels(ch)
         *self.z, self.store, self.guarded = list(memory)[-(residual_network.WAKES + 2) :]
         self.forces: list = []
@@ -112,7 +120,7 @@ class LearnedResidual:
     def water(self, ch, sw, q, k, hydro):
         """Forces of the water on each link (N, N, N m), with the residual added."""
         hydro = hydro if self.inner is None else self.inner.water(ch, sw, q, k, hydro)
-        self.forces = self.advance(ch.strips, sw.water, k, ch.dt)
+        self.forces = self.advance(ch.strips, sw.water, k, ch.dt, sw.net)
         return [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(hydro, self.forces, strict=True)]
 
     def body(self, ch, sw, q, k, rhs, m) -> None:
@@ -125,26 +133,45 @@ class LearnedResidual:
         first = () if self.inner is None else tuple(self.inner.end(ch, sw, v, drive))
         return (*first, *self.z, self.store, self.guarded)
 
-    def advance(self, s: strip_forces.Strips, c: strip_forces.Coefficients, k: planar_chain.Links, dt: float) -> list:
-        """Forces on the links from the present wake, (F_t, F_n, moment) each; advances the wake by dt."""
-        xp, p, reach = self.xp, self.panels, self.learnt.reach
+    def advance(
+        self, s: strip_forces.Strips, c: strip_forces.Coefficients, k: planar_chain.Links, dt: float, net: Any = 0
+    ) -> list:
+        """Forces on the links from the present wake, (F_t, F_n, moment) each; advances the wake by dt. net: as `Swimmer.net`."""
+        xp, p = self.xp, self.panels
         k = batched(k)
         m = residual_network.motion(xp, p, k)
-        mean, self.spread, wake = self.network(m, [value + 0.0 * m.speed for value in self.z], dt)
-        gamma: Any = 1.0
-        outside: Any = 0.0
-        if reach is not None:
-            fade, outside = self._inside(reach, k, m)
-            gamma = fade / (1.0 + self.spread / reach.spread**2)
+        z = [value + 0.0 * m.speed for value in self.z]
+        mean, self.spread, wake, gamma, outside = self._own(net, lambda learnt: self._faded(learnt, k, m, z, dt))
         gamma = gamma * c.residual
         forces = [residual_network.load(p, s.rho, m, i, [gamma * mean[c][i] for c in range(3)]) for i in range(len(k.u))]
         scale, self.store = bounded(xp, forces, residual_network.dissipated(xp, s, c, k), k, self.store, dt)
         self.z, self.guarded = wake, self.guarded + outside
         return [tuple(scale * value for value in f) for f in forces]
 
-    def network(self, m: residual_network.MotionFeatures, z: list, dt: float) -> tuple:
+    def network(self, learnt: Residual, m: residual_network.MotionFeatures, z: list, dt: float) -> tuple:
         """Members' mean coefficients (3, N, ..), the variance between them, and the wake dt later from z."""
-        return residual_step.mean_step(self.xp, self.learnt.net, m, z, dt)
+        return residual_step.mean_step(self.xp, learnt.net, m, z, dt)
+
+    def _own(self, net, of: Any):
+        """Results that `of` gives of each fish's own residual."""
+        if isinstance(self.learnt, Residual):
+            return of(self.learnt)
+        if callable(self.learnt):
+            return self.learnt(net, of)
+        if self.xp is np and np.ndim(net) == 0:
+            return of(self.learnt[int(net)])
+        made = of(self.learnt[0])
+        for number, learnt in enumerate(self.learnt[1:], 1):
+            made = either(self.xp, net == number, of(learnt), made)
+        return made
+
+    def _faded(self, learnt: Residual, k: planar_chain.Links, m: residual_network.MotionFeatures, z: list, dt: float) -> tuple:
+        """Mean coefficients, variance, wake dt later; gamma without r; 1 if a moving link is outside the range."""
+        mean, spread, wake = self.network(learnt, m, z, dt)
+        if learnt.reach is None:
+            return mean, spread, wake, 1.0, 0.0
+        fade, outside = self._inside(learnt.reach, k, m)
+        return mean, spread, wake, fade / (1.0 + spread / learnt.reach.spread**2), outside
 
     def _inside(self, reach: MotionRange, k: planar_chain.Links, m: residual_network.MotionFeatures):
         """Fade factor of the whole fish, and 1 if a moving link is outside the range."""

@@ -3,13 +3,16 @@
     c = f ((1 - w) A + w B + (A_e - A))
     A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them, one for drag and one for the rest:
            two waters of equal thrust may brake differently, and the fits tell the two apart less well than their sum
+    N      the learnt residual is A's; w goes to 1/2 only, as far as A is the nearer, if B has another
     A_e    member e of A's ensemble: the error bar of that fit
     f      a factor for each coefficient, within `scatter`, of drag within `drag`, except for the shape of the stall and the
-           suction; those of the trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0. That of the share of
-           the learnt residual, which all members have in common, lies within `residual`
+           suction; those of the trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0.
+           That of the share of the learnt residual lies within `residual`
 
 In a stream the fish could not hold in every such water: with v_m the speed of the fastest gait in member m, a draw whose
 (1 - w) v_A + w v_B is below `RESERVE` times the stream, for either w, moves towards the fastest member until it is not.
+
+Engines on a GPU take fish whose residual is the same side by side: of `MANY` fish or more, `RUN` neighbours have the same A.
 
 A family is a TOML file beside its members, `<name>.toml` with schema `fishmj.water-family/1`. Its first member is the water of a
 fish that is not randomised.
@@ -35,6 +38,7 @@ KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coe
 EDGE = ("ke", "lift_a", "lift_b")  # of the trailing edge
 DRAG = ("cn", "cf", "ca_forward", "ca_backward")
 N_FIXED = 6  # uniforms before those of the factors: A, B, w, e, factor of the residual's share, w of drag
+MANY, RUN = 4096, 128  # residual_step.FEWEST, planar_kernel.BLOCK
 RESERVE = 1.3  # speed of the fastest gait over that of the stream, at least: a fish has to turn and to make up ground
 
 
@@ -54,16 +58,16 @@ class FamilyFile(BaseModel):
 
 
 class WaterFamily:
-    """Fitted waters of one body that share their learnt residual.
+    """Fitted waters of one body.
 
     Attributes:
-        members: the fitted waters. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
+        members: the fitted waters. nets: their learnt residuals, each once. net: (M,) int, which is whose. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
             members from them.
         scatter: largest relative change of a coefficient. residual: bounds of the factor of the residual's share.
         drag: mask (P,) of the drag's coefficients, and drag_factors their bounds; default, those of `scatter`.
         fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
     Raises:
-        ConfigError: members of different bodies, time steps or residuals, or another number of speeds.
+        ConfigError: members of different bodies or time steps, residuals of different sizes, or another number of speeds.
     """
 
     def __init__(
@@ -78,9 +82,13 @@ class WaterFamily:
             for what in ("body_sha256", "dt"):
                 if getattr(other, what) != getattr(first, what):
                     raise ConfigError(f"family {name}: {other.name} has another {what} than {first.name}; one body, one step")
-            if _residual_sha256(other) != _residual_sha256(first):
-                said = f"python -m fishmj.hydro_fit fit --residual {first.name}"
-                raise ConfigError(f"family {name}: {other.name} has another learnt residual than {first.name}; fit it by {said}")
+            if _shapes(other) != _shapes(first):
+                raise ConfigError(
+                    f"family {name}: the learnt residual of {other.name} has another size than that of {first.name}"
+                )
+        residuals = {_residual_sha256(model): model.learnt for model in members if model.learnt is not None}
+        self.nets = tuple(residuals.values())
+        self.net = np.array([[*residuals].index(_residual_sha256(model)) if residuals else 0 for model in members])
         self.drag_factors = drag or (1.0 - scatter, 1.0 + scatter)
         for key, bounds in (("residual", residual), ("drag", self.drag_factors)):
             if bounds[0] > bounds[1]:
@@ -116,13 +124,14 @@ class WaterFamily:
         stream: (B,) m/s, in which the fish has to hold; None: any.
         """
         u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
-        count, size = deviation.shape[:2]
-        a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
-        w = xp.where(xp.asarray(self.drag), u[:, 5:6], u[:, 2:3])
+        a, b, e = self._drawn(xp, u)
+        way = xp.where(xp.asarray(self.net)[a] == xp.asarray(self.net)[b], 1.0, 0.5).astype(base.dtype)
+        rest, drag = way * u[:, 2], way * u[:, 5]
+        w = xp.where(xp.asarray(self.drag), drag[:, None], rest[:, None])
         drawn = (1.0 - w) * base[a] + w * base[b] + deviation[a, e]
         if stream is not None and len(self.fastest):
             speed, top = xp.asarray(self.fastest, dtype=base.dtype), int(np.argmax(self.fastest))
-            swims = xp.minimum(*((1.0 - u[:, k]) * speed[a] + u[:, k] * speed[b] for k in (2, 5)))
+            swims = xp.minimum(*((1.0 - part) * speed[a] + part * speed[b] for part in (rest, drag)))
             share = xp.clip((RESERVE * stream - swims) / xp.maximum(speed[top] - swims, 1e-6), 0.0, 1.0)
             drawn = drawn + share[:, None] * (base[top] - drawn)
         least, most = xp.asarray(self.factors, dtype=base.dtype)
@@ -132,10 +141,24 @@ class WaterFamily:
         share = base[0, -1] + strength * (drawn[:, -1] * (low + (high - low) * u[:, 4]) - base[0, -1])
         return self._coefficients(xp, rows, share)
 
+    def net_of(self, xp, uniforms, strength: float = 1.0):
+        """Which of `nets` acts in the waters of `draw`, (B,) int."""
+        own = xp.asarray(self.net)[self._drawn(xp, uniforms)[0]]
+        return xp.where(strength > 0, own, self.net[0]).astype("int32")
+
     def swimmer(self, robot: Robot, seed: int) -> planar_chain.Swimmer:
         """The nominal fish in a water of this family, for `Sim(robot, water=.., swimmer=..)`."""
-        drawn = self.draw(np, np.random.default_rng(seed).random((1, self.width)))
-        return planar_chain.nominal(robot)._replace(water=unflat(drawn[0].tolist()))
+        uniforms = np.random.default_rng(seed).random((1, self.width))
+        water, net = self.draw(np, uniforms), self.net_of(np, uniforms)
+        return planar_chain.nominal(robot)._replace(water=unflat(water[0].tolist()), net=int(net[0]))
+
+    def _drawn(self, xp, u) -> tuple:
+        """Members A and B, and A's member of the ensemble, (B,) int each."""
+        count, size = self.deviation.shape[:2]
+        a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
+        if len(self.nets) > 1 and len(u) >= MANY:
+            a = (xp.arange(len(u)) // RUN) % count
+        return a, b, e
 
     def _forces(self, rows: np.ndarray) -> np.ndarray:
         """Coefficients (.., P) with k_e a and k_e b in the place of a and b: forces may be averaged, their ratios may not."""
@@ -173,6 +196,10 @@ class WaterFamily:
         members = [HydroModel.load(path.with_name(f"{member}.toml")) for member in found.members]
         more = {"drag": found.drag, "fastest": found.fastest}
         return cls(found.name, members, scatter=found.scatter, residual=found.residual, **more)
+
+
+def _shapes(model: HydroModel):
+    return None if model.learnt is None else [np.shape(part) for part in model.learnt.net]
 
 
 def _residual_sha256(model: HydroModel) -> str:

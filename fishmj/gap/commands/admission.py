@@ -38,7 +38,7 @@ from fishmj.log.dataset import Taken
 from fishmj.log.excitation import PERIOD
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
-from fishmj.water.choice import label, residual_of
+from fishmj.water.choice import label, residuals_of
 
 SHIPPED = "fish"  # what the null sets swam as, which say a name only
 
@@ -46,7 +46,7 @@ SHIPPED = "fish"  # what the null sets swam as, which say a name only
 def searchable(robot: Robot, model: object) -> None:
     """Raises ConfigError if the search cannot take this robot. model: the user's name for it."""
     buildable(robot, model)
-    if residual_of(robot) is not None:
+    if residuals_of(robot):
         name = label(robot)
         raise ConfigError(
             f"the search swims strips, and water {name!r} has a learnt force, which it would leave out; take its strips,"

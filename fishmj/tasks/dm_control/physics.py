@@ -259,7 +259,9 @@ class Physics(dm_mujoco.Physics):
         """Puts the water at rest around a fish with these constants, a batch of one."""
         water = self.water
         if isinstance(water, FreeWater):
-            water.swimmer = engines.swimmer(FishParams(*(a[0] for a in params)))
+            water.swimmer = engines.swimmer(FishParams(*(np.asarray(a)[0] for a in params)))
+            if nets := engines.Extensions.of(self.swim.robot).nets:
+                water.learnt = nets[int(water.swimmer.net)]
             nominal = FreeWater(self.swim.robot).geometry
             # a robot is trimmed after it is built: the buoyancy of each link follows its own weight
             water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])

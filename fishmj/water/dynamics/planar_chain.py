@@ -44,6 +44,7 @@ class Swimmer(NamedTuple):
     kb: Any  # [N-1] N m s/rad, back-EMF slope (joint damping)
     zero: Any  # [N-1] rad, hinge angle at which the encoder reads zero
     water: strip_forces.Coefficients
+    net: Any = 0  # which of the learnt residuals, in a family of waters that has several
 
 
 class Links(NamedTuple):
