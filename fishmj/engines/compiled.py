@@ -256,7 +256,7 @@ def _rows_of(tree, here: np.ndarray):
 
 
 def _together(net: np.ndarray, of: Callable):
-    """What `of` gives for the fish of each residual, in the order of all fish."""
+    """Results that `of` gives for the fish of each residual, in the order of all fish."""
     groups = [np.flatnonzero(net == number) for number in np.unique(net)]
     order = np.argsort(np.concatenate(groups))
 

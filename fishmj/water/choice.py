@@ -215,7 +215,7 @@ def _dry(robot: Robot) -> dict[str, Any]:
 
 
 def residuals_of(robot: Robot) -> tuple:
-    """Learnt forces of the robot's water: none for strips alone, several in a family. Raises ConfigError for one of other links."""
+    """Learnt forces of the robot's water, several in a family. Raises ConfigError for a water of other links."""
     model = model_of(robot)
     if model is None:
         return ()
