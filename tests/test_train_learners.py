@@ -1,5 +1,6 @@
 """PPO and SAC, term by term: against sums written out, densities and targets computed by hand, and a task with a known answer."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from training import EDGE, Point
 
+from fishmj.tasks.env import Options, StationHold
+from fishmj.tasks.station_hold import spans
 from fishmj.train import ppo, sac
 from fishmj.train.off_policy import ReplayBuffer, Transition
 from fishmj.train.training_run import arrays_of
@@ -74,6 +77,32 @@ def test_ppo_stores_the_log_density_of_what_it_did():
     _, b, _ = learner.collect(t)
     z = (np.asarray(b.u, float) - numpy_mlp(t.actor, b.obs, np.tanh)) / 3.0
     np.testing.assert_allclose(b.log_prob, (-0.5 * z**2 - np.log(3.0) - 0.5 * np.log(2 * np.pi)).sum(-1), atol=1e-5)
+
+
+def test_a_policy_pays_for_the_side_it_prefers():
+    """The loss with weight 2 against a sum written out; a policy that mirrors pays nothing."""
+    learner = ppo_learner()
+    signs = np.where(np.arange(learner.env.n_input) % 2, -1.0, 1.0)
+    learner.env.mirror_signs = signs
+    asked = ppo.PPO(learner.env, replace(learner.config, mirror=2.0), 1)
+    t = learner.init(jax.random.key(2))
+    batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), learner.collect(t)[1])
+    networks = t.actor, t.log_sigma, t.critic
+    rows = np.asarray(batch.obs)[::4]
+    both = numpy_mlp(t.actor, rows, np.tanh) + numpy_mlp(t.actor, rows * signs, np.tanh)
+    more = float(asked.loss(networks, batch)[0] - learner.loss(networks, batch)[0])
+    assert more == pytest.approx(2.0 * (both**2).sum(1).mean(), rel=1e-3) and more > 0
+    (w, b), *others = t.actor
+    even = [(jnp.asarray(w) * (signs[:, None] < 0), jnp.zeros_like(b)), *((w, jnp.zeros_like(b)) for w, b in others)]
+    odd = even, t.log_sigma, t.critic  # it sees what turns alone, and tanh is odd
+    assert float(asked.loss(odd, batch)[0]) == pytest.approx(float(learner.loss(odd, batch)[0]), abs=1e-6)
+
+
+def test_mirror_signs_turn_what_a_fish_sees_into_what_its_mirror_image_sees():
+    env = StationHold("fish", None, Options(memory=2))
+    sight = {"target": [1, -1], "velocity": [1, -1], "yaw_rate": [-1], "joint": [-1] * 3, "joint_rate": [-1] * 3}
+    one = sum((sight[group] for group in spans(3)), [])
+    assert env.mirror_signs.tolist() == [*one, -1, -1, -1, *one] and env.mirror_signs.shape == (env.n_input,)
 
 
 def test_dropped_step_has_no_ppo_advantage_and_is_not_in_the_sac_buffer():

@@ -107,7 +107,7 @@ class PPOConfig(PlainPPOConfig):
         "privileged: the critic sees the flow, the actor never does; plain: not",
         "--critic",
     )
-    mirror: float = setting(0.0, number(0, 1e3), "weight on |mu(s) + mu(S s)|^2, S s the input of the fish's mirror image")
+    mirror: float = setting(0.0, number(0, 1e3), "weight on what an action and the fish's mirror image's differ by")
 
 
 @dataclass(frozen=True, kw_only=True)

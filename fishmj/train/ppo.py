@@ -69,7 +69,7 @@ class PPO:
         self.optimiser = optax.chain(optax.clip_by_global_norm(config.max_grad_norm), optax.adam(rate, eps=config.adam_eps))
         self.obs_scale = jnp.asarray(env.input_scale)
         self.privileged_scale = jnp.asarray(env.privileged_scale)
-        self.mirror_signs = jnp.asarray(env.mirror_signs)
+        self.mirror_signs = jnp.asarray(env.mirror_signs) if config.mirror else None
 
     @partial(jax.jit, static_argnums=0)
     def init(self, key) -> PPOTrainState:
