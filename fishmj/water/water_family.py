@@ -61,8 +61,8 @@ class WaterFamily:
     """Fitted waters of one body.
 
     Attributes:
-        members: the fitted waters. nets: their learnt residuals, each once. net: (M,) int, which is whose. base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles'
-            members from them.
+        members: the fitted waters. nets: their learnt residuals, each once. net: (M,) int, which is whose.
+        base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles' members from them.
         scatter: largest relative change of a coefficient. residual: bounds of the factor of the residual's share.
         drag: mask (P,) of the drag's coefficients, and drag_factors their bounds; default, those of `scatter`.
         fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
