@@ -122,7 +122,7 @@ def test_compiled_swim_is_identical_for_any_batch_threads_and_jit(double):
 
 def test_one_machine_code_serves_every_member_and_gives_its_own_force(double):
     learnt = double.added.learnt
-    one = replace(double.added, learnt=residual_hooks.member(learnt, 2))
+    one = replace(double.added, nets=(residual_hooks.member(learnt, 2),))
     own = compiled.CompiledEngine(ROBOT, threads=1, dtype="float64")
     own.added = one
     shape = residual_lanes.Shape.of(learnt)
@@ -160,7 +160,7 @@ def test_the_network_is_that_of_numpy_for_any_shape(links, members, hidden):
     numba_build.compiled(text).network(work.reshape(-1), residual_lanes.flat_weights(learnt, dt, np.dtype(float)))
     m = residual_network.MotionFeatures(list(x), speed, [], [], [])
     hooks = residual_hooks.LearnedResidual(np, planar_chain.chain_of(ROBOT), learnt, residual_hooks.at_rest())
-    mean, spread, wake = hooks.network(m, list(z), dt)
+    mean, spread, wake = hooks.network(learnt, m, list(z), dt)
     take = lambda name, count: work[rows[name] : rows[name] + count]
     np.testing.assert_allclose(take("coefficient0", 3 * links), np.reshape(mean, (3 * links, -1)), rtol=0, atol=1e-12)
     np.testing.assert_allclose(take("next0", len(z)), np.array(wake), rtol=0, atol=1e-12)

@@ -29,7 +29,7 @@ def engine_of(name: str, seed: int = 0) -> planar.PlanarEngine:
     net = net._replace(**{part: rng.normal(0, 0.5, getattr(net, part).shape) for part in ("wake_bias", "outer", "even", "odd")})
     reach = residual_hooks.unlimited(engine.chain.n)._replace(speed=np.full(engine.chain.n, 1.2), spread=np.array(1.0))
     learnt = residual_hooks.Residual(net, reach)
-    engine.added = replace(engine.added, learnt=learnt, nets=(learnt,))
+    engine.added = replace(engine.added, nets=(learnt,))
     return engine
 
 
@@ -71,7 +71,7 @@ def test_the_kernel_gives_each_fish_its_own_residual(monkeypatch):
     """Blocks of four fish: in one, two of three residuals act; in the other, one."""
     monkeypatch.setattr(planar_kernel, "BLOCK", 4)
     engine, nets = swimming("tendon_fish"), [engine_of("tendon_fish", seed).added.learnt for seed in (0, 3, 4)]
-    engine.added = replace(engine.added, learnt=nets[0], nets=tuple(nets))
+    engine.added = replace(engine.added, nets=tuple(nets))
     state, params, *others = given_to(engine, 8)
     params = params._replace(net=jnp.array([1, 0, 1, 1, 2, 2, 2, 2], jnp.int32))
     quickly = {"xla_backend_optimization_level": 0}
@@ -108,7 +108,7 @@ def test_tick_kernel_needs_many_fish_float32_learnt_water_and_a_gpu(graphics_car
     with jax.enable_x64(True):
         assert not taken(engine, *jax.tree.map(lambda a: jnp.asarray(a, float), given))
     whole = engine.added
-    for other in replace(whole, learnt=None), replace(whole, active=object()):  # strips alone, an effect
+    for other in replace(whole, nets=()), replace(whole, active=object()):  # strips alone, an effect
         engine.added = other
         assert not taken(engine, *given)
     engine.added = whole

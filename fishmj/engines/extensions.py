@@ -39,16 +39,15 @@ class Extensions:
 
     Attributes:
         active: the effects, or None. row: (P,) their calibrated values. memory: (M,) initial memory of a fish.
-        learnt: the learnt residual force, or None. robot: the one that it acts on. nets: all residuals between which
-            `FishParams.net` chooses: that one, or those of a family of waters.
+        nets: the learnt residuals: none, one, or those of a family of waters, between which `FishParams.net` chooses.
+        robot: the one that they act on.
     """
 
     active: "effects.EffectStack | None"
     row: np.ndarray
     memory: np.ndarray
-    learnt: Any
+    nets: tuple
     robot: Robot
-    nets: tuple = ()
 
     @classmethod
     def of(cls, robot: Robot) -> "Extensions":
@@ -61,7 +60,12 @@ class Extensions:
             from fishmj.water.residual_hooks import at_rest
 
             memory += at_rest()
-        return cls(active, row, np.array(memory, float), nets[0] if nets else None, robot, nets)
+        return cls(active, row, np.array(memory, float), nets, robot)
+
+    @property
+    def learnt(self) -> Any:
+        """The learnt residual of a fish that is not randomised, or None."""
+        return self.nets[0] if self.nets else None
 
     @cached_property
     def chain(self) -> chain.Chain:
@@ -74,11 +78,11 @@ class Extensions:
         inner = None
         if self.active is not None:
             inner = Commanded(xp, self.active, parameters, memory[: len(self.active.memory)], wet)
-        if self.learnt is None:
+        if not self.nets:
             return inner
         from fishmj.water.residual_hooks import LearnedResidual
 
-        return LearnedResidual(xp, self.chain, self.nets if len(self.nets) > 1 else self.learnt, memory, inner)
+        return LearnedResidual(xp, self.chain, self.nets if len(self.nets) > 1 else self.nets[0], memory, inner)
 
     def late(self, xp, rows, clock: str, t=0.0):
         """Transport delay of a clock for parameter rows (B, P): (B,) s, or 0.0 if no effect delays it."""

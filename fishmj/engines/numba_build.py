@@ -124,7 +124,7 @@ def generate(robot: Robot, name: str) -> tuple[codegen.Program, list[str]]:
     ch, added = planar_chain.chain_of(robot), Extensions.of(robot)
     learnt = None if added.learnt is None else residual_lanes.Shape.of(added.learnt)
     names = names_of(ch.n, len(added.row), len(added.memory), learnt)
-    effects = lambda a: replace(added, learnt=None).hooks(jnp, a["effects"], a["memory"])
+    effects = lambda a: replace(added, nets=()).hooks(jnp, a["effects"], a["memory"])
     swimmer = lambda a: planar_chain.Swimmer(a["mass"], a["kp"], a["kv"], a["kb"], a["zero"], unflat(a["water"]))
 
     def step(a):

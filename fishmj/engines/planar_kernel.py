@@ -60,7 +60,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
                 learnt: Any = Residual(network, reach[0])
             else:
                 learnt = partial(_own, lambda own: Residual(partial(network, which=(own, len(nets))), _at(reach, own)))
-            added = replace(engine.added, learnt=learnt, nets=())
+            added = replace(engine.added, nets=(learnt,))
             return engine.step(added, *fixed, carry, target), [*later, target]
 
         _, steps, joints = targets.shape

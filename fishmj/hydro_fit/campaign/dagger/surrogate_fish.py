@@ -20,7 +20,8 @@ class Surrogate(SingleFish):
     def __init__(
         self, robot: Robot, ch: planar_chain.Chain, water: strip_forces.Coefficients, *, learnt=None, pose=(0.0, 0.0, 0.0)
     ):
-        added = Extensions(None, np.zeros(0), np.array(residual_hooks.at_rest() if learnt is not None else []), learnt, robot)
+        nets = () if learnt is None else (learnt,)
+        added = Extensions(None, np.zeros(0), np.array(residual_hooks.at_rest() if nets else []), nets, robot)
         super().__init__(ch, planar_chain.nominal(robot)._replace(water=water), added)
         self.robot, self.steps = robot, round(robot.timing.bus_dt / ch.dt)
         self.delay = round(robot.timing.command_latency / ch.dt)
