@@ -1,6 +1,8 @@
 """Play in the gears; the encoder sits on the output side, behind the play."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from math import copysign
+
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def gear(xp, p, g, memory, h):
@@ -14,6 +16,26 @@ def gear(xp, p, g, memory, h):
     share = xp.where(whole > 0.0, xp.abs(x + way - taken) / xp.where(whole > 0.0, whole, 1.0), 1.0)
     share = xp.minimum(share, 1.0)
     return g._replace(drive=share * g.drive, resist=g.resist - (1.0 - share) * g.kb), (taken,)
+
+
+def law(joint, memory, half_gap, rotor):
+    """The rotor, of its inertia on the link's side, flies through the gap x and gives its momentum to the link where it lands.
+
+    It lies on the side to which it drives at the start. memory: x and the rotor's rate.
+    """
+    if joint.time == 0.0:
+        memory[0], memory[1] = copysign(half_gap, joint.drive), joint.rate
+    floats = abs(memory[0]) < half_gap
+    ahead = memory[1] + joint.step * joint.drive / rotor
+    way = joint.step * (ahead - joint.rate)
+    beyond = abs(memory[0] + way) - half_gap
+    if beyond < 0.0:
+        memory[0], memory[1] = memory[0] + way, ahead
+        return -joint.drive, 0.0
+    memory[0], memory[1] = copysign(half_gap, memory[0] + way), joint.rate
+    if floats:
+        return rotor * (ahead - joint.rate) / joint.step - joint.drive, 0.0
+    return 0.0, 0.0
 
 
 EFFECT = Effect(
@@ -37,4 +59,17 @@ EFFECT = Effect(
     ),
     memory=(0.0,),
     gear=gear,
+    robot=RobotForm(
+        site="actuator",
+        scale=("", "inertia"),
+        parameters=(
+            Parameter(name="half_gap", unit="rad", low=0.0, high=0.2, typical=(0.003, 0.03)),
+            Parameter(name="rotor", unit="kg m2", null=0.1, low=0.005, high=1.0, typical=(0.03, 0.4), shape=True),
+        ),
+        law=law,
+        confusions=(
+            Confusion("command_latency", "lost motion at reversals only; a delay acts all the time"),
+            Confusion("servo_gain", "lost motion at reversals only: drive one way against a load"),
+        ),
+    ),
 )

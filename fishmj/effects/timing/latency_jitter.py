@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
+
+
+COPIES = 8  # delays that stand for all
 
 
 def scatter(rng, p, record):
@@ -10,6 +13,15 @@ def scatter(rng, p, record):
     t, commands = record
     late = t + p.sigma * rng.standard_exponential(np.shape(t))
     return np.maximum.accumulate(late), commands
+
+
+def command(p, t, c):
+    """Mean over the delays: the mean of copies of the record, each with a delay of its own."""
+    late = -np.log(1.0 - (np.arange(COPIES) + 0.5) / COPIES)
+    stamps = t[:, None] + p.sigma * late / late.mean()
+    order = np.argsort(stamps, axis=None, kind="stable")
+    jumps = np.repeat(np.diff(c, prepend=c[0]) / COPIES, COPIES)
+    return stamps.ravel()[order], c[0] + np.cumsum(jumps[order])
 
 
 EFFECT = Effect(
@@ -23,6 +35,16 @@ EFFECT = Effect(
     confusions=(
         Confusion("packet_loss", "no plateaus; stamps at both ends", ("sine",)),
         Confusion("turbulence", "shows in the joints", ("sine", "gait")),
+    ),
+    robot=RobotForm(
+        site="robot",
+        parameters=(Parameter(name="sigma", unit="s", low=0.0, high=0.1, typical=(0.003, 0.03)),),
+        command=command,
+        confusions=(
+            Confusion("command_latency", "commands spread, too: compare the stamps at both ends"),
+            Confusion("packet_loss", "no plateaus: compare the stamps at both ends"),
+            Confusion("joint_sensor_delay", "commands spread, too: compare the stamps at both ends"),
+        ),
     ),
     stochastic=True,
     stream="command",
