@@ -43,6 +43,8 @@ class JointMotion(NamedTuple):
     drive: float  # N m, of its actuator
     limit: float  # N m, of its actuator at rest
     inertia: float  # kg m2, that it moves in the pose at zero
+    armature: float  # kg m2, of it
+    damping: float  # N m s/rad, of the joint
     time: float  # s since the start
     step: float  # s
 

@@ -19,22 +19,26 @@ def gear(xp, p, g, memory, h):
 
 
 def law(joint, memory, half_gap, rotor):
-    """The rotor, of its inertia on the link's side, flies through the gap x and gives its momentum to the link where it lands.
+    """A rotor, of its inertia on the link's side, flies through the gap x and gives its momentum to the link where it lands.
 
-    It lies on the side to which it drives at the start. memory: x and the rotor's rate.
+    The joint's damping and armature are the rotor's. It lies on the side to which it pushes at the start. memory: x, the rotor's
+    rate, the link's rate a step ago.
     """
     if joint.time == 0.0:
-        memory[0], memory[1] = copysign(half_gap, joint.drive), joint.rate
+        memory[0] = copysign(half_gap, joint.drive - joint.damping * joint.rate)
+        memory[1] = memory[2] = joint.rate
+    gained, memory[2] = joint.rate - memory[2], joint.rate
     floats = abs(memory[0]) < half_gap
-    ahead = memory[1] + joint.step * joint.drive / rotor
-    way = joint.step * (ahead - joint.rate)
-    beyond = abs(memory[0] + way) - half_gap
-    if beyond < 0.0:
-        memory[0], memory[1] = memory[0] + way, ahead
-        return -joint.drive, 0.0
-    memory[0], memory[1] = copysign(half_gap, memory[0] + way), joint.rate
+    slows = 1.0 + joint.step * joint.damping / rotor
+    ahead = (memory[1] + joint.step * joint.drive / rotor) / slows
+    way = memory[0] + joint.step * (ahead - joint.rate)
+    alone = joint.damping * joint.rate - joint.drive
+    if abs(way) < half_gap:
+        memory[0], memory[1] = way, ahead
+        return alone + min(rotor, joint.armature) * gained / joint.step, 0.0
+    memory[0], memory[1] = copysign(half_gap, way), ahead if floats else joint.rate
     if floats:
-        return rotor * (ahead - joint.rate) / joint.step - joint.drive, 0.0
+        return alone + rotor * (ahead - joint.rate) / joint.step, 0.0
     return 0.0, 0.0
 
 

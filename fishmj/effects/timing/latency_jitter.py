@@ -5,9 +5,6 @@ import numpy as np
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
-COPIES = 8  # delays that stand for all
-
-
 def scatter(rng, p, record):
     """t'_k = max(t_k + d_k, t'_{k-1}), d_k exponential of mean sigma: late, never early, in order. record = (t [s], commands)."""
     t, commands = record
@@ -16,11 +13,18 @@ def scatter(rng, p, record):
 
 
 def command(p, t, c):
-    """Mean over the delays: the mean of copies of the record, each with a delay of its own."""
-    late = -np.log(1.0 - (np.arange(COPIES) + 0.5) / COPIES)
-    stamps = t[:, None] + p.sigma * late / late.mean()
+    """Mean over the delays: the mean of copies of the record, each with another quantile of the delay.
+
+    P(delay < x) = prod_j (1 - exp(-(x + j T) / sigma)): packets T apart stay in order. A row with the command before is none.
+    """
+    new = np.append(True, np.diff(c) != 0.0)
+    t, c = t[new], c[new]
+    copies, apart = 8, max(np.median(np.diff(t)), 0.01 * p.sigma) if len(t) > 1 else 1.0
+    x = p.sigma * np.linspace(0.0, 12.0, 600)
+    below = np.prod(-np.expm1(-(x[:, None] + apart * np.arange(min(8.0 * p.sigma / apart, 800.0) + 1)) / p.sigma), 1)
+    stamps = t[:, None] + np.interp((np.arange(copies) + 0.5) / copies, below, x)
     order = np.argsort(stamps, axis=None, kind="stable")
-    jumps = np.repeat(np.diff(c, prepend=c[0]) / COPIES, COPIES)
+    jumps = np.repeat(np.diff(c, prepend=c[0]) / copies, copies)
     return stamps.ravel()[order], c[0] + np.cumsum(jumps[order])
 
 

@@ -15,9 +15,11 @@ def scatter(rng, p, record):
 
 
 def command(p, t, c):
-    """Mean over the losses: c'_k = (1 - p) c_k + p c'_{k-1}."""
+    """Mean over the losses: c'_k = (1 - p) c_k + p c'_{k-1}. A row with the command before is no packet."""
     from scipy.signal import lfilter
 
+    new = np.append(True, np.diff(c) != 0.0)
+    t, c = t[new], c[new]
     return t, lfilter([1.0 - p.probability], [1.0, -p.probability], c, zi=[p.probability * c[0]])[0]
 
 

@@ -52,7 +52,8 @@ def find(args: Any) -> int:
         console.say(f"  {place_of(inquiry).text}")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
-            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files)})
+            rest = dict(zip(robot.sites("joint"), inquiry.evidence.model.rest, strict=True))
+            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files) | {"rest": rest}})
             page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
             console.say(f"written: verdict.json, {page}")
     if args.json:

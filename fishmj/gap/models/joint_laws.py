@@ -28,14 +28,26 @@ from fishmj.effects.effect import LAW_MATH
 from fishmj.engines import numba_build
 
 LEAST_FRICTION = 1e-6  # N m: without any, MuJoCo makes no constraint whose limit could be changed
-MEMORY = 2  # numbers of each law at each joint
+MEMORY = 3  # numbers of each law at each joint
 FIXED = (
     *("joints", "active", "dof", "place", "actuator", "row", "gain0", "gain1", "gain2", "bias0", "bias1", "bias2", "gear"),
-    *("command_low", "command_high", "force_low", "force_high", "drive_low", "drive_high", "limit", "inertia", "step"),
+    *(
+        "command_low",
+        "command_high",
+        "force_low",
+        "force_high",
+        "drive_low",
+        "drive_high",
+        "limit",
+        "inertia",
+        "armature",
+        "damping",
+    ),
+    "step",
 )  # columns of jnt_user before the parameters of the laws
 FOUND = ("qpos", "qvel", "ctrl", "userdata", "qfrc_passive", "efc_frictionloss")  # arrays of mjData
 
-CALLBACK = '''
+CALLBACK = """
 {names} = range({count})
 JOINTS, WORDS = 64, 1 << 20
 
@@ -64,10 +76,10 @@ def passive(model, data):
             drive = (p[gain0] + p[gain1] * length + p[gain2] * velocity) * u
             drive += p[bias0] + p[bias1] * length + p[bias2] * velocity
             drive = min(max(p[gear] * min(max(drive, p[force_low]), p[force_high]), p[drive_low]), p[drive_high])
-        joint = JointMotion(q, w, drive, p[limit], p[inertia], time, p[step])
+        joint = JointMotion(q, w, drive, p[limit], p[inertia], p[armature], p[damping], time, p[step])
         memory = kept[{memory} * j : {memory} * (j + 1)]
 {calls}
-'''
+"""
 
 
 @cache
@@ -141,6 +153,7 @@ def write(m: Any, joints: Sequence[Any], present: dict[str, dict[str, tuple[floa
         if joint.name in present:
             row = m.jnt_user[joint.joint]
             given = {"active": 1.0, "dof": joint.dof, "place": joint.place, "step": m.opt.timestep}
+            given |= {"damping": m.dof_damping[joint.dof], "armature": m.dof_armature[joint.dof]}
             given |= {"limit": limit_of(m, joint.actuator, joint.joint, torque), "inertia": m.dof_M0[joint.dof]}
             for name, value in ((drive_of(m, joint.actuator, joint.joint) or {}) | given).items():
                 row[FIXED.index(name)] = value
@@ -192,9 +205,7 @@ def _compiled() -> Any:
     places = {name: at // 8 for name, at in _offsets().items()}
     memory = MEMORY * len(laws())
     names = ", ".join(FIXED)
-    body = CALLBACK.format(
-        names=names, count=len(FIXED), width=width(), memory=memory, calls="\n".join(calls), **places
-    )
+    body = CALLBACK.format(names=names, count=len(FIXED), width=width(), memory=memory, calls="\n".join(calls), **places)
     return numba_build.compiled("\n".join(header) + "\n\n".join(functions) + body).passive
 
 
@@ -220,4 +231,6 @@ def _offset(owner: Any, word: int) -> int:
     for at in range(0, 1 << 18, 8):
         if ctypes.c_int64.from_address(owner._address + at).value == word:
             return at
-    raise ConfigError(f"MuJoCo {mujoco.__version__}: no place of an array in {type(owner).__name__}; take the version of pyproject.toml")
+    raise ConfigError(
+        f"MuJoCo {mujoco.__version__}: no place of an array in {type(owner).__name__}; take the version of pyproject.toml"
+    )

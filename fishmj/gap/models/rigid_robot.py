@@ -115,6 +115,11 @@ class RigidRobot(ParameterRow):
         """(J,) N m, `torque_error` as stated."""
         return assumed("tolerance")["torque"] * self.sizes.torque
 
+    @property
+    def rest(self) -> list[float]:
+        """Torque of each joint's actuator at rest where the description states none, N m."""
+        return [REST * self._usual_torque(j) for j in range(self.joints)]
+
     def with_errors(self, torque: np.ndarray, reference: np.ndarray) -> "RigidRobot":
         """The same robot with another `torque_error` and `reference`."""
         there = copy.copy(self)
@@ -213,7 +218,7 @@ class RigidRobot(ParameterRow):
                 laws.setdefault(placed.site, {})[placed.effect.name] = tuple(vars(p).values())
         mujoco.mj_setConst(m, self._data[0])
         if laws:
-            joint_laws.write(m, self.robot.joints, laws, [REST * self._usual_torque(j) for j in range(self.joints)])
+            joint_laws.write(m, self.robot.joints, laws, self.rest)
         return m
 
     def _present(self, row: np.ndarray) -> list[PresentEffect]:
