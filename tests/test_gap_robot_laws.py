@@ -1,4 +1,4 @@
-"""Effects of a robot that no field of MuJoCo holds: against laws written out in robot_laws.py, and as a module. *Synthetic* logs."""
+"""Effects of a robot that no field of MuJoCo holds: against laws written out in robot_laws.py, and as a module. *Synthetic*."""
 
 import importlib.util
 from math import copysign, exp, pi, sin
@@ -25,11 +25,11 @@ HIDDEN = {  # effect at its site -> (value, robot)
     ),
     "load_friction@elbow": ({"ratio": 0.3}, {"law": lambda q, w, u: (0.0, 0.3 * abs(u))}),
     "speed_limit@elbow": (
-        {"slowness": 0.2},
+        {"slowness": 0.3},
         {
             "text": WEAK,
             "law": lambda q, w, u: (
-                min(max(LIMIT * (1 - 0.2 * max(copysign(w, u * w), 0)), 0) - abs(u), 0) * copysign(1, u),
+                min(max(LIMIT * (1 - 0.3 * max(copysign(w, u * w), 0)), 0) - abs(u), 0) * copysign(1, u),
                 0.0,
             ),
         },
@@ -38,9 +38,9 @@ HIDDEN = {  # effect at its site -> (value, robot)
         {"sine": 0.05, "cosine": 0.0, "period": 2 * pi / 12},
         {"law": lambda q, w, u: (0.05 * sin(12 * q), 0.0)},
     ),
-    "gear_backlash@elbow": ({"half_gap": 0.03, "rotor": ROTOR}, {"text": play(0.03)}),
+    "gear_backlash@elbow": ({"half_gap": 0.06, "rotor": ROTOR}, {"text": play(0.06)}),
     "latency_jitter": ({"sigma": 0.02}, {"packets": 0.008, "late": 0.02}),
-    "packet_loss": ({"probability": 0.4}, {"packets": 0.04, "lost": 0.4}),
+    "packet_loss": ({"probability": 0.6}, {"packets": 0.008, "lost": 0.6}),
 }
 RIVALS = {
     "stribeck@elbow": ("coulomb_friction", "load_friction", "viscous_friction"),
@@ -152,3 +152,23 @@ def test_laws_are_off_outside_a_rollout(folder):
     with joint_laws.acting(True):
         assert mujoco.get_mjcb_passive() is not None
     assert mujoco.get_mjcb_passive() is None
+
+
+# ------------------------------------------------------------------------------------------------------------------------- search
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HIDDEN)
+def test_search_names_the_hidden_law_or_its_class(name, folder):
+    robot = described(folder, name)
+    logs = write_law_logs(folder / f"searched_{name}", 4, 3.0, seed=3, **HIDDEN[name][1])
+    v = search_among(robot, logs, name.partition("@")[0], *RIVALS[name]).verdict
+    print(name, v.text())
+    assert v.answer in ("NAMED", "CLASS"), v.text()
+    assert name in {e.name for e in v.effects} | {str(r["name"]) for r in v.rivals}, v.text()
+
+
+@pytest.mark.slow
+def test_healthy_arm_agrees_among_the_laws(folder):
+    robot = described(folder, "arm")
+    logs = write_law_logs(folder / "healthy", 3, 3.0, seed=5)
+    v = search_among(robot, logs, *(name.partition("@")[0] for name in HIDDEN)).verdict
+    assert v.answer == "AGREES", v.text()

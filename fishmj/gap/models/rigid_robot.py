@@ -28,7 +28,7 @@ from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
+from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records, thinned
 from fishmj.log import Trial
 
 AT = "@"  # between an effect's name and its site's
@@ -69,7 +69,8 @@ class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
-    without: names of effects at their sites that are left out.
+    without: names of effects at their sites that are left out. stride: steps of the description in a step here; what the longer
+    step changes in the description's own prediction is added to every other (`coarsest`).
 
     screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
     each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
@@ -84,9 +85,14 @@ class RigidRobot(ParameterRow):
         sizes: RobotSizes,
         catalogue: Sequence[Effect] | None = None,
         without: frozenset[str] = frozenset(),
+        stride: int = 1,
     ):
         self.robot, self.sizes = robot, sizes
-        self.dt = robot.dt
+        self.dt = stride * robot.dt
+        self._plain = copy.copy(robot.model)
+        self._plain.opt.timestep = self.dt
+        self._exact = RigidRobot(robot, sizes, ()) if stride > 1 else None
+        self._defects: dict[tuple, np.ndarray] = {}
         self.joints = len(robot.joints)
         self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
         self.constants, self._factors = self._tolerances()
@@ -206,8 +212,8 @@ class RigidRobot(ParameterRow):
         factors = [(float(factor), multiply) for factor, multiply in zip(row, self._factors, strict=False) if factor != 1.0]
         acting = [x for x in present if x.placed.form.fields is not None or x.placed.form.law is not None]
         if not factors and not acting:
-            return self.robot.model
-        m = copy.copy(self.robot.model)
+            return self._plain
+        m = copy.copy(self._plain)
         for factor, multiply in factors:
             multiply(m, factor)
         laws: dict[str, dict[str, tuple[float, ...]]] = {}
@@ -247,12 +253,14 @@ class RigidRobot(ParameterRow):
                     row[self.index(effect.name, p.name)] = np.clip(value, p.low, p.high)
                     rows.append(row)
                     owners.append(effect.name)
-        shown = set()
+        tried, names = np.array(rows), np.array(owners)
         for record in records:
-            (told,) = self.predict([record], np.stack([self.nothing, *rows]))
-            change = np.abs(np.nan_to_num(told["joint"][1:] - told["joint"][:1], nan=np.inf)).max(1)
-            shown |= {name for name, moved in zip(owners, change, strict=True) if np.any(moved > record.joint.sigma)}
-        return frozenset(owners) - shown
+            if len(tried):
+                (told,) = self.predict([record], np.concatenate([self.nothing[None], tried]))
+                change = np.abs(np.nan_to_num(told["joint"][1:] - told["joint"][:1], nan=np.inf)).max(1)
+                hidden = ~np.isin(names, names[np.any(change > record.joint.sigma, axis=1)])
+                tried, names = tried[hidden], names[hidden]
+        return frozenset(names.tolist())
 
     def _reading(self, present: list[PresentEffect]) -> tuple[np.ndarray, np.ndarray]:
         """(J,) scale and zero of the joints' encoders."""
@@ -271,7 +279,18 @@ class RigidRobot(ParameterRow):
         rows = np.atleast_2d(np.asarray(rows, float))
         present = [self._present(row) for row in rows]
         models = [self._model(row, there) for row, there in zip(rows, present, strict=True)]
-        return [{"joint": seen} for seen in self._shoot(records, present, models)]
+        seen = self._shoot(records, present, models)
+        return [{"joint": one + self._defect(record)} for record, one in zip(records, seen, strict=True)]
+
+    def _defect(self, record: RobotRecord) -> np.ndarray | float:
+        """(K, J) readings of the description at its own step, less those at the step of the search."""
+        if self._exact is None:
+            return 0.0
+        key = (record.name, len(record.starts), record.starts[0])
+        if key not in self._defects:
+            exact = self._exact.predict([record], self._exact.nothing)[0]["joint"][0]
+            self._defects[key] = exact - self._shoot([record], [[]], [self._plain])[0][0]
+        return self._defects[key]
 
     def _shoot(
         self, records: list[RobotRecord], present: list[list[PresentEffect]], models: list, moved=None, pushed=None
@@ -415,6 +434,33 @@ def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSi
             torque.append(np.abs(d.qfrc_inverse[dofs]))
             rate.append(np.abs(v))
     return RobotSizes(np.percentile(torque, USUAL, axis=0), np.percentile(rate, USUAL, axis=0), command)
+
+
+def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], without: frozenset[str]) -> int:
+    """Largest stride whose error in the change by each effect, at its small usual size in a few segments, is below `step_error`.
+
+    without: effects in no question.
+    """
+    limits = assumed("segments")
+    some = thinned(list(records[:1]), int(limits["tried"]))
+    exact = RigidRobot(robot, sizes, without=without)
+    rows = np.tile(exact.nothing, (1 + len(exact.active.names), 1))
+    for k, p in enumerate(p for effect in exact.active.effects for p in effect.parameters):
+        rows[1 + k, len(exact.constants) + k] = p.typical[0]
+
+    def changes(model: RigidRobot) -> np.ndarray:
+        seen = model.predict(some, rows)[0]["joint"]
+        return ((seen[1:] - seen[0]) / some[0].joint.sigma).reshape(len(rows) - 1, -1)
+
+    known = changes(exact)
+    size = np.maximum(np.linalg.norm(known, axis=1), np.sqrt(known.shape[1]))  # below the noise, no share is asked
+    stride = int(limits["step"] / robot.dt)
+    while stride > 1:
+        off = np.linalg.norm(changes(RigidRobot(robot, sizes, without=without, stride=stride)) - known, axis=1) / size
+        if np.all(off < limits["step_error"]):
+            break
+        stride = 2 * stride // 3
+    return max(stride, 1)
 
 
 def _delay(present: list[PresentEffect]) -> tuple[float, float]:

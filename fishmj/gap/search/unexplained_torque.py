@@ -20,6 +20,7 @@ from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.stepwise import informative_records
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
@@ -42,12 +43,16 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
     runs = null.residuals(model, records, ResidualLayout(records), bars)
     e = Likelihood(wide, records, runs)
     before = torques(e, row)
+    one = e.subset(informative_records(e.subset().base(), e.layout, 1))
+    waves = [x for x in model.active.effects if any(p.fine and p.shape for p in x.parameters)]
+    for name, found in one.grid_search(one.base(), waves).items():  # a period is no small step away from any other
+        row[[model.index(name, p.name) for p in next(x for x in waves if x.name == name).parameters]] = found[0]
     with bars(limits.fits, "torques that no effect explains", "fits") as bar:
         for k in range(limits.fits):
             fit = e.subset()
-            row = fit.refine([fit.at(row, names, places)], limits.steps)[0].row
+            row = fit.refine([fit.at(row, names, places)], limits.steps, chord=True)[0].row
             wide = model.with_errors(np.maximum(torques(e, row), model.torque_tolerance), row)
-            e = Likelihood(wide, records, runs)
+            e = e.with_record_errors(wide)
             bar.update(k + 1)
     least = torques(e, row)
     return model.with_errors(np.maximum(least, model.torque_tolerance), row), UnexplainedTorque(before, least)
