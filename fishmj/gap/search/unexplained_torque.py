@@ -1,6 +1,6 @@
 """Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
 
-    best single effect -> all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again ..
+    best single effect -> all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted ..
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
