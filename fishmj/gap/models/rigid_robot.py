@@ -332,8 +332,8 @@ class RigidRobot(ParameterRow):
                 edges = [*np.searchsorted(record.joint.t, record.starts), len(record.joint.t)]
                 for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
                     at = np.broadcast_to(record.joint.t[a:b] - record.starts[k], (len(q), b - a))
-                    path = (np.ascontiguousarray(part[:, first + k]) for part in (q, v))
-                    seen[some, a:b] = hermite(*path, self.dt, np.ascontiguousarray(at))
+                    angles, rates = (np.ascontiguousarray(part[:, first + k]) for part in (q, v))
+                    seen[some, a:b] = hermite(angles, rates, self.dt, np.ascontiguousarray(at))
                 first += len(record.starts)
         return [scale * seen - zero for seen in out]
 

@@ -27,9 +27,6 @@ from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 
-IDLE = 0.01  # of an effect's usual size, below which a fit has not found it
-
-
 class UnexplainedTorque(NamedTuple):
     """(J,) N m: deviations with the model as it is, and with all effects fitted."""
 
@@ -73,7 +70,7 @@ def _with_best(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) ->
 def _idle(model, row: np.ndarray, effect: Effect) -> bool:
     """Returns True for an effect that a row does not have."""
     away = [(row[model.index(effect.name, p.name)] - p.null) / (p.typical[1] - p.null) for p in effect.parameters if not p.shape]
-    return bool(np.all(np.abs(away) < IDLE))
+    return bool(np.all(np.abs(away) < thresholds().torques.idle))
 
 
 def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
