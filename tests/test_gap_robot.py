@@ -344,7 +344,7 @@ OUTSIDE = ("joint_zero_offset@shoulder", "joint_scale@elbow", "command_hold", "c
 def test_patch_moves_like_the_effect(name, arm, model):
     """The written MJCF, read by MuJoCo alone, accelerates like the model with the effect."""
     values, _ = HIDDEN[name]
-    m, delay = changed(arm, [named(name, **values)])
+    m, delay, _ = changed(arm, [named(name, **values)])
     written = mujoco.MjModel.from_xml_string(patched(arm, m, delay))
     assert written.actuator_delay[0] == pytest.approx(values.get("delay", 0.0))
     written.actuator_delay[:] = 0.0

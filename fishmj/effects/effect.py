@@ -16,6 +16,7 @@ CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
 CLOCKS = ("command", "joint", "pose", "power", "velocity")  # what a transport delay may delay
 STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
 ROBOT_SITES = ("joint", "actuator", "body", "robot")  # where an effect acts in a robot described in MJCF
+LAW_MATH = ("copysign", "cos", "exp", "pi", "sin")  # of `math`, in the law of an effect of such a robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,21 +64,26 @@ class RobotForm(NamedTuple):
 
     site: one of ROBOT_SITES. parameters: null, bounds and typical sizes in multiples of `scale` at the site: torque [N m],
     damping [N m s/rad], drag [N m s2/rad2], inertia [kg m2], stiffness [N m/rad], mass [kg], length [m], command [of the
-    actuator]; "" where they are SI. Functions (None = not used):
+    actuator], rate [rad/s], time [s/rad]; "" where they are SI; a tuple has one for each. Functions (None = not used):
 
         fields(site, p)                     changes fields of site.m, an MjModel
         reading(p) -> (scale, zero)         a joint reads scale x angle - zero
         command(p, t, c) -> (t, c)          commands (T,) of one actuator and their stamps (T,)
+        law(joint, memory, *parameters) -> (torque, friction)     what no field of MuJoCo holds, at each step: a torque on the
+                                            joint, and a limit of dry friction on top of the model's. joint: sites.JointMotion;
+                                            memory: three numbers, zero at the start. Scalars, and the names of LAW_MATH only: its
+                                            text is compiled for the search, and copied into the patch
 
     confusions: with other effects of such a robot.
     """
 
     site: str
     parameters: tuple[Parameter, ...]
-    scale: str = ""
+    scale: str | tuple[str, ...] = ""
     fields: Callable | None = None
     reading: Callable | None = None
     command: Callable | None = None
+    law: Callable | None = None
     confusions: tuple["Confusion", ...] = ()
 
 

@@ -35,6 +35,20 @@ class Gear(NamedTuple):
     limit: Any  # N m, stall torque
 
 
+class JointMotion(NamedTuple):
+    """One joint of a robot described in MJCF, at the start of a step."""
+
+    angle: float  # rad or m
+    rate: float  # rad/s
+    drive: float  # N m, of its actuator
+    limit: float  # N m, of its actuator at rest
+    inertia: float  # kg m2, that it moves in the pose at zero
+    armature: float  # kg m2, of it
+    damping: float  # N m s/rad, of the joint
+    time: float  # s since the start
+    step: float  # s
+
+
 class Constants(NamedTuple):
     """Masses and coefficients of the planar chain, changed before anything is computed from them."""
 

@@ -1,6 +1,8 @@
 """Play in the gears; the encoder sits on the output side, behind the play."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from math import copysign
+
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def gear(xp, p, g, memory, h):
@@ -14,6 +16,30 @@ def gear(xp, p, g, memory, h):
     share = xp.where(whole > 0.0, xp.abs(x + way - taken) / xp.where(whole > 0.0, whole, 1.0), 1.0)
     share = xp.minimum(share, 1.0)
     return g._replace(drive=share * g.drive, resist=g.resist - (1.0 - share) * g.kb), (taken,)
+
+
+def law(joint, memory, half_gap, rotor):
+    """A rotor, of its inertia on the link's side, flies through the gap x and gives its momentum to the link where it lands.
+
+    The joint's damping and armature are the rotor's. It lies on the side to which it pushes at the start. memory: x, the rotor's
+    rate, the link's rate a step ago.
+    """
+    if joint.time == 0.0:
+        memory[0] = copysign(half_gap, joint.drive - joint.damping * joint.rate)
+        memory[1] = memory[2] = joint.rate
+    gained, memory[2] = joint.rate - memory[2], joint.rate
+    floats = abs(memory[0]) < half_gap
+    slows = 1.0 + joint.step * joint.damping / rotor
+    ahead = (memory[1] + joint.step * joint.drive / rotor) / slows
+    way = memory[0] + joint.step * (ahead - joint.rate)
+    alone = joint.damping * joint.rate - joint.drive
+    if abs(way) < half_gap:
+        memory[0], memory[1] = way, ahead
+        return alone + min(rotor, joint.armature) * gained / joint.step, 0.0
+    memory[0], memory[1] = copysign(half_gap, way), ahead if floats else joint.rate
+    if floats:
+        return alone + rotor * (ahead - joint.rate) / joint.step, 0.0
+    return 0.0, 0.0
 
 
 EFFECT = Effect(
@@ -37,4 +63,17 @@ EFFECT = Effect(
     ),
     memory=(0.0,),
     gear=gear,
+    robot=RobotForm(
+        site="actuator",
+        scale=("", "inertia"),
+        parameters=(
+            Parameter(name="half_gap", unit="rad", low=0.0, high=0.2, typical=(0.003, 0.03)),
+            Parameter(name="rotor", unit="kg m2", null=0.1, low=0.005, high=1.0, typical=(0.03, 0.4), shape=True),
+        ),
+        law=law,
+        confusions=(
+            Confusion("command_latency", "lost motion at reversals only; a delay acts all the time"),
+            Confusion("servo_gain", "lost motion at reversals only: drive one way against a load"),
+        ),
+    ),
 )

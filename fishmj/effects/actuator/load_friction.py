@@ -1,13 +1,18 @@
 """Friction that grows with the load on the teeth."""
 
 from fishmj.effects.dry_friction import AT_REST, apply_dry_friction
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def gear(xp, p, g, memory, h):
     """Friction of at most K |tau_m|, sticking at rest; tau_m = drive - k_b w is the motor's torque on the teeth."""
     load = xp.abs(g.drive - g.kb * g.rate)
     return apply_dry_friction(xp, lambda speed: p.ratio * load, g, memory, h)
+
+
+def law(joint, memory, ratio):
+    """Limit of the friction under the present torque of the actuator."""
+    return 0.0, ratio * abs(joint.drive)
 
 
 EFFECT = Effect(
@@ -25,4 +30,13 @@ EFFECT = Effect(
     ),
     memory=AT_REST,
     gear=gear,
+    robot=RobotForm(
+        site="actuator",
+        parameters=(Parameter(name="ratio", unit="1", low=0.0, high=1.0, typical=(0.05, 0.3)),),
+        law=law,
+        confusions=(
+            Confusion("coulomb_friction", "grows with the load: vary the load at equal speed"),
+            Confusion("servo_gain", "acts on the moving joint only: hold a load, then lift and lower it"),
+        ),
+    ),
 )

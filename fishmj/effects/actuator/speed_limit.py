@@ -1,6 +1,8 @@
 """The torque left at speed falls faster than the model's."""
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from math import copysign
+
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def gear(xp, p, g, memory, h):
@@ -15,6 +17,14 @@ def gear(xp, p, g, memory, h):
     slope = xp.where(over, steeper, 0.0)
     drive = xp.where(over, ahead * line, g.drive)
     return g._replace(drive=drive, torque=g.torque + slope * g.rate, resist=g.resist + slope), memory
+
+
+def law(joint, memory, slowness):
+    """Torque beyond the line is taken off. Its slope is a damping, so the excess is that at the end of the step."""
+    ahead = copysign(1.0, joint.drive)
+    line = max(joint.limit * (1.0 - slowness * max(ahead * joint.rate, 0.0)), 0.0)
+    over = max(ahead * joint.drive - line, 0.0)
+    return -ahead * over / (1.0 + joint.step * joint.limit * slowness / joint.inertia), 0.0
 
 
 EFFECT = Effect(
@@ -34,4 +44,14 @@ EFFECT = Effect(
         ),
     ),
     gear=gear,
+    robot=RobotForm(
+        site="actuator",
+        scale="time",
+        parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=4.0, typical=(0.2, 0.8)),),
+        law=law,
+        confusions=(
+            Confusion("torque_saturation", "cuts off at speed only: stall the joint, then move it fast"),
+            Confusion("viscous_friction", "acts near the limit only: move fast with a small torque"),
+        ),
+    ),
 )

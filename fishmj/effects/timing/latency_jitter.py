@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def scatter(rng, p, record):
@@ -10,6 +10,22 @@ def scatter(rng, p, record):
     t, commands = record
     late = t + p.sigma * rng.standard_exponential(np.shape(t))
     return np.maximum.accumulate(late), commands
+
+
+def command(p, t, c):
+    """Mean over the delays: the mean of copies of the record, each with another quantile of the delay.
+
+    P(delay < x) = prod_j (1 - exp(-(x + j T) / sigma)): packets T apart stay in order. A row with the command before is none.
+    """
+    new = np.append(True, np.diff(c) != 0.0)
+    t, c = t[new], c[new]
+    copies, apart = 8, max(np.median(np.diff(t)), 0.01 * p.sigma) if len(t) > 1 else 1.0
+    x = p.sigma * np.linspace(0.0, 12.0, 600)
+    below = np.prod(-np.expm1(-(x[:, None] + apart * np.arange(min(8.0 * p.sigma / apart, 800.0) + 1)) / p.sigma), 1)
+    stamps = t[:, None] + np.interp((np.arange(copies) + 0.5) / copies, below, x)
+    order = np.argsort(stamps, axis=None, kind="stable")
+    jumps = np.repeat(np.diff(c, prepend=c[0]) / copies, copies)
+    return stamps.ravel()[order], c[0] + np.cumsum(jumps[order])
 
 
 EFFECT = Effect(
@@ -23,6 +39,16 @@ EFFECT = Effect(
     confusions=(
         Confusion("packet_loss", "no plateaus; stamps at both ends", ("sine",)),
         Confusion("turbulence", "shows in the joints", ("sine", "gait")),
+    ),
+    robot=RobotForm(
+        site="robot",
+        parameters=(Parameter(name="sigma", unit="s", low=0.0, high=0.1, typical=(0.003, 0.03)),),
+        command=command,
+        confusions=(
+            Confusion("command_latency", "commands spread, too: compare the stamps at both ends"),
+            Confusion("packet_loss", "no plateaus: compare the stamps at both ends"),
+            Confusion("joint_sensor_delay", "commands spread, too: compare the stamps at both ends"),
+        ),
     ),
     stochastic=True,
     stream="command",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fishmj.effects.effect import Confusion, Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
 def scatter(rng, p, record):
@@ -12,6 +12,15 @@ def scatter(rng, p, record):
     kept[:1] = True
     last = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
     return t, np.asarray(commands)[last]
+
+
+def command(p, t, c):
+    """Mean over the losses: c'_k = (1 - p) c_k + p c'_{k-1}. A row with the command before is no packet."""
+    from scipy.signal import lfilter
+
+    new = np.append(True, np.diff(c) != 0.0)
+    t, c = t[new], c[new]
+    return t, lfilter([1.0 - p.probability], [1.0, -p.probability], c, zi=[p.probability * c[0]])[0]
 
 
 EFFECT = Effect(
@@ -25,6 +34,15 @@ EFFECT = Effect(
     confusions=(
         Confusion("latency_jitter", "isolated plateaus of whole packets", ("sine",)),
         Confusion("command_quantisation", "plateaus at random times, also in fast motion", ("sine",)),
+    ),
+    robot=RobotForm(
+        site="robot",
+        parameters=(Parameter(name="probability", unit="1", low=0.0, high=0.9, typical=(0.02, 0.3)),),
+        command=command,
+        confusions=(
+            Confusion("command_latency", "plateaus at random times: compare the stamps at both ends"),
+            Confusion("command_hold", "plateaus at random times: compare the stamps at both ends"),
+        ),
     ),
     stochastic=True,
     stream="command",

@@ -1,4 +1,7 @@
-"""`gap apply REPORT` for a robot in MJCF: the named effects as fields of its next version, <robot>.v<N>.xml."""
+"""`gap apply REPORT` for a robot in MJCF: the named effects as fields of its next version, <robot>.v<N>.xml.
+
+What no field holds comes beside it as a module that MuJoCo calls back, <robot>_v<N>_effects.py.
+"""
 
 import copy
 import re
@@ -13,6 +16,8 @@ from fishmj import effects
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.gap.commands.find_robot import digest
+from fishmj.gap.models import joint_laws
+from fishmj.gap.models.callback_module import BeyondFields, module_text, stem_of
 from fishmj.gap.models.rigid_robot import AT
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.models.robot_patch import difference, patched
@@ -23,7 +28,7 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     """Writes the next version. verdict: of verdict.json with its context. Returns what `gap apply` tells.
 
     Raises:
-        ConfigError: the description changed since the search, an effect that no field of MJCF holds, or the file exists.
+        ConfigError: the description changed since the search, an effect of a sensor, or a file exists.
     """
     path = Path(verdict["context"]["model"])
     if not path.is_file() or digest(path) != verdict["context"]["model_sha256"]:
@@ -39,22 +44,28 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
         )
         return told | {"reason": f"{answer}: {why}; {path.name} stays as it is"}
     robot = read_robot(path)
-    text = patched(robot, *changed(robot, named))
+    m, delay, beyond = changed(robot, named)
+    text = patched(robot, m, delay)
     version = out or next_version(path, report if report.is_dir() else report.parent)
-    if version.suffix != ".xml" or version.exists():
-        raise ConfigError(f"{version}: exists, or does not end in .xml; choose another name with --out")
+    module = version.with_name(f"{stem_of(version.name)}.py")
+    if version.suffix != ".xml" or version.exists() or (beyond.names and module.exists()):
+        raise ConfigError(f"{version}: exists with its module, or does not end in .xml; choose another name with --out")
     names = ", ".join(title(e["name"]) for e in named)
     origin = f"<!-- {answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name} -->\n"
     write_text(version, text.replace("\n", "\n" + origin, 1) if text.startswith("<?xml") else origin + text)
+    if beyond.names:
+        write_text(module, module_text(version.name, robot, m, beyond, verdict["context"].get("rest") or {}))
     reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
     if floors := verdict["over_floor"].get("searched"):
         reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} floors"
+    if beyond.names:
+        reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, which no field of MuJoCo holds"
     return told | {"path": version, "accepted": True, "reason": reason, "mjcf": difference(robot, text)}
 
 
-def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float]:
-    """(MjModel with the effects, delay of the commands in s). Raises ConfigError for an effect that MJCF cannot hold."""
-    m, delay = copy.copy(robot.model), 0.0
+def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, BeyondFields]:
+    """(MjModel with the effects, delay of the commands in s, effects that no field holds). Raises ConfigError for a sensor's."""
+    m, delay, beyond = copy.copy(robot.model), 0.0, BeyondFields({}, [])
     for effect in named:
         name, _, site = effect["name"].partition(AT)
         known = effects.robot_catalogue().get(name)
@@ -66,14 +77,24 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float]:
         if known.robot.reading is not None:
             told = "an error of a sensor belongs into the reading of the logs, not into MJCF"
             raise ConfigError(f"{title(effect['name'])}: {told}")
-        if known.robot.fields is None and "command" not in known.delays:
-            told = "no attribute of MJCF holds it; change the commands on their way instead"
-            raise ConfigError(f"{title(effect['name'])}: {told}")
+        if (
+            known.robot.fields is None
+            and known.robot.law is None
+            and known.robot.command is None
+            and "command" not in known.delays
+        ):
+            raise ConfigError(f"{title(effect['name'])}: an error of a clock belongs into the reading of the logs, not into MJCF")
+        if known.robot.law is not None:
+            beyond.laws.setdefault(site, {})[name] = tuple(getattr(p, x.name) for x in known.robot.parameters)
+        if known.robot.command is not None:
+            beyond.commands.append((site, known, vars(p)))
         if known.robot.fields is not None:
             known.robot.fields(robot.site(m, known.robot.site, site), p)
         delay += sum(getattr(p, parameter) for clock, parameter in known.delays.items() if clock == "command")
     mujoco.mj_setConst(m, mujoco.MjData(m))
-    return m, float(np.round(delay, 6))
+    if beyond.laws:
+        joint_laws.write(m, robot.joints, beyond.laws, [0.0] * len(robot.joints))
+    return m, float(np.round(delay, 6)), beyond
 
 
 def next_version(path: Path, folder: Path) -> Path:

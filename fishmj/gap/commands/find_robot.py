@@ -13,7 +13,7 @@ from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot, coarsest, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
@@ -52,7 +52,8 @@ def find(args: Any) -> int:
         console.say(f"  {place_of(inquiry).text}")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
-            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files)})
+            rest = dict(zip(robot.sites("joint"), inquiry.evidence.model.rest, strict=True))
+            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files) | {"rest": rest}})
             page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
             console.say(f"written: verdict.json, {page}")
     if args.json:
@@ -88,7 +89,8 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     inert = RigidRobot(robot, sizes).inert(seen)
     if inert:
         console.say(f"left out, since no reading would show them: {', '.join(sorted(map(title, inert)))}")
-    model, _ = with_measured_errors(RigidRobot(robot, sizes, without=inert), seen, null, progress.terminal_bar)
+    started = RigidRobot(robot, sizes, without=inert, stride=coarsest(robot, sizes, seen, inert))
+    model, _ = with_measured_errors(started, seen, null, progress.terminal_bar)
     return investigate(
         model,
         trials,

@@ -99,6 +99,7 @@ class _RobotEffect(_ReportTable):
 class _RobotContext(_ReportTable):
     model: Text
     model_sha256: Sha256
+    rest: dict[str, Finite] = {}
 
 
 class _RobotVerdict(_ReportTable):

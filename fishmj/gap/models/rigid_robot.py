@@ -23,18 +23,21 @@ from mujoco import rollout
 from fishmj import effects
 from fishmj.base.cores import usable_cores
 from fishmj.effects.effect import Effect, Parameter
+from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
+from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records, thinned
 from fishmj.log import Trial
 
 AT = "@"  # between an effect's name and its site's
 AT_ONCE = 4096  # rollouts of a batch, for memory's sake
+REST = 2.0  # usual torques that an actuator gives at rest if its description states no limit
 LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
 SHORT = 0.02  # m, least size of a body
 AFTERWARDS = 1e6  # s for which the last command holds
+KEPT = 64  # command records that are kept
 USUAL = 90  # percentile over the starts of all segments
 
 
@@ -55,11 +58,19 @@ class PlacedEffect(NamedTuple):
     first: int
 
 
+class PresentEffect(NamedTuple):
+    """An effect that is not at its null in a row. p: its parameters by name."""
+
+    placed: PlacedEffect
+    p: SimpleNamespace
+
+
 class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
-    without: names of effects at their sites that are left out.
+    without: names of effects at their sites that are left out. stride: steps of the description in a step here; what the longer
+    step changes in the description's own prediction is added to every other (`coarsest`).
 
     screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
     each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
@@ -74,9 +85,14 @@ class RigidRobot(ParameterRow):
         sizes: RobotSizes,
         catalogue: Sequence[Effect] | None = None,
         without: frozenset[str] = frozenset(),
+        stride: int = 1,
     ):
         self.robot, self.sizes = robot, sizes
-        self.dt = robot.dt
+        self.dt = stride * robot.dt
+        self._plain = copy.copy(robot.model)
+        self._plain.opt.timestep = self.dt
+        self._exact = RigidRobot(robot, sizes, ()) if stride > 1 else None
+        self._defects: dict[tuple, np.ndarray] = {}
         self.joints = len(robot.joints)
         self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
         self.constants, self._factors = self._tolerances()
@@ -86,12 +102,14 @@ class RigidRobot(ParameterRow):
             if effect.robot is None:
                 continue
             for site in robot.sites(effect.robot.site):
-                if placed_name(effect.name, site) in without:
+                if placed_name(effect.name, site) in without or (effect.robot.law and not robot.takes_laws(site)):
                     continue
                 listed.append(self._at(effect, effect.robot, site))
                 self.placed.append(PlacedEffect(effect, effect.robot, site, first))
                 first += len(effect.robot.parameters)
         self.active = effects.EffectStack(listed, self.joints)
+        self._owner = np.repeat(np.arange(len(listed)), [len(effect.parameters) for effect in listed])
+        self._sent: dict[tuple, np.ndarray] = {}
         # A semi-implicit step moves by the rate at its end, so its rates are those of half a step earlier.
         semi_implicit = robot.model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self._early = 0.5 * self.dt if semi_implicit else 0.0
@@ -102,6 +120,11 @@ class RigidRobot(ParameterRow):
     def torque_tolerance(self) -> np.ndarray:
         """(J,) N m, `torque_error` as stated."""
         return assumed("tolerance")["torque"] * self.sizes.torque
+
+    @property
+    def rest(self) -> list[float]:
+        """Torque of each joint's actuator at rest where the description states none, N m."""
+        return [REST * self._usual_torque(j) for j in range(self.joints)]
 
     def with_errors(self, torque: np.ndarray, reference: np.ndarray) -> "RigidRobot":
         """The same robot with another `torque_error` and `reference`."""
@@ -146,8 +169,8 @@ class RigidRobot(ParameterRow):
     def _at(self, effect: Effect, form: effects.RobotForm, site: str) -> Effect:
         """The effect at one site, its sizes in SI."""
         name = placed_name(effect.name, site)
-        scale = self._scale(form, site)
-        sized = tuple(_scaled(p, scale) for p in form.parameters)
+        units = form.scale if isinstance(form.scale, tuple) else (form.scale,) * len(form.parameters)
+        sized = tuple(_scaled(p, self._scale(unit, form.site, site)) for p, unit in zip(form.parameters, units, strict=True))
         others = [(c, other.robot) for c in form.confusions if (other := effects.robot_catalogue().get(c.other)) and other.robot]
         confused = tuple(
             replace(c, other=placed_name(c.other, at))
@@ -156,51 +179,69 @@ class RigidRobot(ParameterRow):
         )
         bare: dict[str, Any] = dict.fromkeys(("servo", "gear", "fish", "flow", "body", "water", "command", "measure"))
         placed = form._replace(parameters=sized)
+        bare |= {"scatter": None, "stochastic": False, "stream": ""}
         return replace(
             effect, name=name, parameters=sized, shows=(), memory=(), handed=(), confusions=confused, robot=placed, **bare
         )
 
-    def _scale(self, form: effects.RobotForm, site: str) -> float:
-        """Size of an effect's unit at a site."""
+    def _scale(self, unit: str, kind: str, site: str) -> float:
+        """Size of a unit at a site of a kind."""
         m = self.robot.model
-        if not form.scale:
+        if not unit:
             return 1.0
-        if form.scale in ("mass", "length"):
+        if unit in ("mass", "length"):
             b = self.robot.bodies[site]
-            return float(m.body_mass[b]) if form.scale == "mass" else max(float(np.linalg.norm(m.body_ipos[b])), SHORT)
+            return float(m.body_mass[b]) if unit == "mass" else max(float(np.linalg.norm(m.body_ipos[b])), SHORT)
         i = self.robot.sites("joint").index(site)
-        torque = float(np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))[i])
-        rate = max(float(self.sizes.rate[i]), LEAST)
-        if form.scale == "command":
+        torque, rate = self._usual_torque(i), max(float(self.sizes.rate[i]), LEAST)
+        if unit == "command":
             return max(float(self.sizes.command[self.robot.joints[i].actuator]), LEAST)
-        if form.scale in ("damping", "drag"):
-            return torque / rate if form.scale == "damping" else torque / rate**2
-        return float(m.dof_M0[self.robot.joints[i].dof]) if form.scale == "inertia" else torque
+        inertia = float(m.dof_M0[self.robot.joints[i].dof])
+        sizes = {"torque": torque, "rate": rate, "inertia": inertia, "time": 1.0 / rate, "stiffness": torque}
+        return (sizes | {"damping": torque / rate, "drag": torque / rate**2})[unit]
+
+    def _usual_torque(self, joint: int) -> float:
+        """Usual torque of a joint, or a little of that of the robot, N m."""
+        return float(np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))[joint])
 
     def model(self, row: np.ndarray) -> Any:
         """A MjModel with the constants and effects of one parameter row (P,), delays and readings aside."""
-        m = copy.copy(self.robot.model)
-        for factor, multiply in zip(row, self._factors, strict=False):
-            if factor != 1.0:
-                multiply(m, float(factor))
-        for placed, p in self._present(row):
+        return self._model(np.asarray(row, float), self._present(row))
+
+    def _model(self, row: np.ndarray, present: list[PresentEffect]) -> Any:
+        factors = [(float(factor), multiply) for factor, multiply in zip(row, self._factors, strict=False) if factor != 1.0]
+        acting = [x for x in present if x.placed.form.fields is not None or x.placed.form.law is not None]
+        if not factors and not acting:
+            return self._plain
+        m = copy.copy(self._plain)
+        for factor, multiply in factors:
+            multiply(m, factor)
+        laws: dict[str, dict[str, tuple[float, ...]]] = {}
+        for placed, p in acting:
             if placed.form.fields is not None:
                 placed.form.fields(self.robot.site(m, placed.form.site, placed.site), p)
+            if placed.form.law is not None:
+                laws.setdefault(placed.site, {})[placed.effect.name] = tuple(vars(p).values())
         mujoco.mj_setConst(m, self._data[0])
+        if laws:
+            joint_laws.write(m, self.robot.joints, laws, self.rest)
         return m
 
-    def _present(self, row: np.ndarray):
-        """(placed effect, its parameters) of those that are not at their null."""
-        values = np.asarray(row)[len(self.constants) :]
-        for placed in self.placed:
-            mine = values[placed.first : placed.first + len(placed.form.parameters)]
-            if tuple(mine) != tuple(p.null for p in placed.form.parameters):
-                yield placed, SimpleNamespace(**{p.name: float(v) for p, v in zip(placed.form.parameters, mine, strict=True)})
+    def _present(self, row: np.ndarray) -> list[PresentEffect]:
+        """The effects that are not at their null."""
+        values = np.asarray(row, float)[len(self.constants) :]
+        out = []
+        for i in np.unique(self._owner[values != self.active.null]):
+            placed = self.placed[i]
+            mine = values[placed.first : placed.first + len(placed.form.parameters)].tolist()
+            p = SimpleNamespace(**dict(zip((p.name for p in placed.form.parameters), mine, strict=True)))
+            out.append(PresentEffect(placed, p))
+        return out
 
     def delay(self, row: np.ndarray, t: Any = 0.0) -> Any:
         """Delay of commands and readings together at times t of a record, s."""
-        parameters = list(np.asarray(row)[len(self.constants) :])
-        return self.active.delay(np, parameters, "command", t) + self.active.delay(np, parameters, "joint", t)
+        fixed, drift = _delay(self._present(row))
+        return fixed + drift * np.asarray(t)
 
     def inert(self, records: Sequence[RobotRecord]) -> frozenset[str]:
         """Names of the effects that at their usual size change no reading of the records beyond its noise."""
@@ -212,18 +253,20 @@ class RigidRobot(ParameterRow):
                     row[self.index(effect.name, p.name)] = np.clip(value, p.low, p.high)
                     rows.append(row)
                     owners.append(effect.name)
-        shown = set()
+        tried, names = np.array(rows), np.array(owners)
         for record in records:
-            (told,) = self.predict([record], np.stack([self.nothing, *rows]))
-            change = np.abs(np.nan_to_num(told["joint"][1:] - told["joint"][:1], nan=np.inf)).max(1)
-            shown |= {name for name, moved in zip(owners, change, strict=True) if np.any(moved > record.joint.sigma)}
-        return frozenset(owners) - shown
+            if len(tried):
+                (told,) = self.predict([record], np.concatenate([self.nothing[None], tried]))
+                change = np.abs(np.nan_to_num(told["joint"][1:] - told["joint"][:1], nan=np.inf)).max(1)
+                hidden = ~np.isin(names, names[np.any(change > record.joint.sigma, axis=1)])
+                tried, names = tried[hidden], names[hidden]
+        return frozenset(names.tolist())
 
-    def _reading(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _reading(self, present: list[PresentEffect]) -> tuple[np.ndarray, np.ndarray]:
         """(J,) scale and zero of the joints' encoders."""
         scale, zero = np.ones(self.joints), np.zeros(self.joints)
         names = self.robot.sites("joint")
-        for placed, p in self._present(row):
+        for placed, p in present:
             if placed.form.reading is not None:
                 factor, offset = placed.form.reading(p)
                 scale[names.index(placed.site)] *= factor
@@ -234,79 +277,99 @@ class RigidRobot(ParameterRow):
     def predict(self, records: list[RobotRecord], rows) -> list[dict]:
         """Predicted readings of every parameter row (R, P) on every record: {"joint": (R, K, J)} at its stamps."""
         rows = np.atleast_2d(np.asarray(rows, float))
-        models = [self.model(row) for row in rows]
-        return [{"joint": self._shoot(record, rows, models)} for record in records]
+        present = [self._present(row) for row in rows]
+        models = [self._model(row, there) for row, there in zip(rows, present, strict=True)]
+        seen = self._shoot(records, present, models)
+        return [{"joint": one + self._defect(record)} for record, one in zip(records, seen, strict=True)]
 
-    def _shoot(self, record: RobotRecord, rows: np.ndarray, models: list, moved=None, pushed=None) -> np.ndarray:
-        """(R, K, J) readings.
+    def _defect(self, record: RobotRecord) -> np.ndarray | float:
+        """(K, J) readings of the description at its own step, less those at the step of the search."""
+        if self._exact is None:
+            return 0.0
+        key = (record.name, len(record.starts), record.starts[0])
+        if key not in self._defects:
+            exact = self._exact.predict([record], self._exact.nothing)[0]["joint"][0]
+            self._defects[key] = exact - self._shoot([record], [[]], [self._plain])[0][0]
+        return self._defects[key]
+
+    def _shoot(
+        self, records: list[RobotRecord], present: list[list[PresentEffect]], models: list, moved=None, pushed=None
+    ) -> list[np.ndarray]:
+        """(R, K, J) readings of each record, for the effects and the model of each of R rows.
 
         moved: (R, 2, J) added to angles and rates at each start. pushed: (R, T, J) torques on the joints.
         """
-        places = [j.place for j in self.robot.joints]
-        dofs = [j.dof for j in self.robot.joints]
-        segments, steps = len(record.starts), self.steps(record)
-        read = [self._reading(row) for row in rows]
-        scale, zero = (np.stack(part)[:, None] for part in zip(*read, strict=True))
-        still = np.zeros((len(rows), 2, self.joints)) if moved is None else moved
-        angle = (record.angles + zero + still[:, :1]) / scale
-        rate = (record.rates - self._early * record.accelerations + still[:, 1:]) / scale
+        rows, counts = len(models), [len(record.starts) for record in records]
+        segments, steps = sum(counts), max(self.steps(record) for record in records)
+        scale, zero = (np.stack(part)[:, None] for part in zip(*map(self._reading, present), strict=True))
+        still = np.zeros((rows, 2, self.joints)) if moved is None else moved
+        every = lambda field: np.concatenate([getattr(record, field) for record in records])
+        angle = (every("angles") + zero + still[:, :1]) / scale
+        rate = (every("rates") - self._early * every("accelerations") + still[:, 1:]) / scale
         m = self.robot.model
-        start = np.zeros((len(rows), segments, 1 + m.nq + m.nv))
+        places, dofs = [j.place for j in self.robot.joints], [j.dof for j in self.robot.joints]
+        start = np.zeros((rows, segments, 1 + m.nq + m.nv))
         start[..., [1 + p for p in places]] = angle
         start[..., [1 + m.nq + d for d in dofs]] = rate
-        known: dict[tuple, np.ndarray] = {}
-        out = np.empty((len(rows), len(record.joint.t), self.joints))
-        first = np.searchsorted(record.joint.t, record.starts)
-        ends = np.append(first[1:], len(record.joint.t))
+        out = [np.empty((rows, len(record.joint.t), self.joints)) for record in records]
+        lawful = any(x.placed.form.law is not None for there in present for x in there)
         few = max(1, AT_ONCE // segments)
-        for begin in range(0, len(rows), few):
-            some = range(begin, min(begin + few, len(rows)))
-            control = []
-            for r in some:
-                acts = tuple((placed.first, values) for placed, values in self._on_commands(rows[r]))
-                key = (*np.broadcast_to(self.delay(rows[r], np.array([0.0, 1.0])), 2).tolist(), acts)
-                if key not in known:
-                    known[key] = self._commands(record, steps, rows[r])
-                control.append(known[key])
-            u = np.concatenate(control)
+        for begin in range(0, rows, few):
+            some = slice(begin, min(begin + few, rows))
+            u = np.concatenate([self._commands(record, steps, there) for there in present[some] for record in records])
             spec = int(mujoco.mjtState.mjSTATE_CTRL)
             if pushed is not None:
                 force = np.zeros((len(u), steps, m.nv))
-                force[..., dofs] = np.repeat(pushed[some.start : some.stop], segments, 0)
+                force[..., dofs] = np.repeat(pushed[some], segments, 0)
                 u, spec = np.concatenate([u, force], 2), spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-            batch = [models[r] for r in some for _ in range(segments)]
-            begins = start[some.start : some.stop].reshape(len(batch), -1)
-            state, _ = rollout.rollout(batch, self._data, begins, u, control_spec=spec)
-            state = np.concatenate([begins[:, None], state], 1).reshape(len(some), segments, steps + 1, -1)
+            batch = [one for one in models[some] for _ in range(segments)]
+            begins = np.ascontiguousarray(start[some].reshape(len(batch), -1))
+            state = self._rolled(batch, begins, u, spec, lawful)
+            state = np.concatenate([begins[:, None], state], 1).reshape(-1, segments, steps + 1, begins.shape[1])
             q, v = state[..., [1 + p for p in places]], state[..., [1 + m.nq + d for d in dofs]]
-            for k, (a, b) in enumerate(zip(first, ends, strict=True)):
-                at = np.broadcast_to(record.joint.t[a:b] - record.starts[k], (len(some), b - a))
-                sampled = hermite(np.ascontiguousarray(q[:, k]), np.ascontiguousarray(v[:, k]), self.dt, np.ascontiguousarray(at))
-                out[some.start : some.stop, a:b] = sampled
-        return scale * out - zero
+            first = 0
+            for record, seen in zip(records, out, strict=True):
+                edges = [*np.searchsorted(record.joint.t, record.starts), len(record.joint.t)]
+                for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+                    at = np.broadcast_to(record.joint.t[a:b] - record.starts[k], (len(q), b - a))
+                    angles, rates = (np.ascontiguousarray(part[:, first + k]) for part in (q, v))
+                    seen[some, a:b] = hermite(angles, rates, self.dt, np.ascontiguousarray(at))
+                first += len(record.starts)
+        return [scale * seen - zero for seen in out]
+
+    def _rolled(self, models: list, begins: np.ndarray, u: np.ndarray, spec: int, lawful: bool) -> np.ndarray:
+        """(N, T, S) states of rollouts from `begins` (N, S) under u (N, T, ..)."""
+        state, sensors = np.empty((*u.shape[:2], begins.shape[1])), np.empty((*u.shape[:2], self.robot.model.nsensordata))
+        given = {"control_spec": spec, "skip_checks": True, "nstep": u.shape[1], "state": state, "sensordata": sensors}
+        with rollout.Rollout(nthread=len(self._data) if len(self._data) > 1 else 0) as pool, joint_laws.acting(lawful):
+            pool.rollout(models, self._data, begins, np.ascontiguousarray(u), **given)
+        return state
 
     def steps(self, record: RobotRecord) -> int:
         """Number of steps of a segment."""
         return int(np.ceil(record.length / self.dt - 1e-9)) + 1
 
-    def _on_commands(self, row: np.ndarray):
-        """(placed effect, its parameters as a tuple) of the effects that change commands."""
-        for placed, p in self._present(row):
-            if placed.form.command is not None:
-                yield placed, tuple(vars(p).items())
+    def _commands(self, record: RobotRecord, steps: int, present: list[PresentEffect]) -> np.ndarray:
+        """(S, T, A) mean of each command over each step, after the delays; kept for the last few."""
+        changes = [x for x in present if x.placed.form.command is not None]
+        fixed, drift = _delay(present)
+        acts = tuple((x.placed.first, *vars(x.p).values()) for x in changes)
+        key = (record.name, len(record.starts), record.starts[0], steps, fixed, drift, acts)
+        if key not in self._sent:
+            while len(self._sent) >= KEPT:
+                self._sent.pop(next(iter(self._sent)))
+            self._sent[key] = self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None])
+        return self._sent[key]
 
-    def _commands(self, record: RobotRecord, steps: int, row: np.ndarray) -> np.ndarray:
-        """(S, T, A) mean of each command over each step, after the delay of a row."""
-        t = record.starts[:, None] + self.dt * np.arange(steps + 1)
-        t = t - self.delay(row, record.starts[:, None])
-        changes = list(self._on_commands(row))
+    def _mean_commands(self, record: RobotRecord, steps: int, changes: list[PresentEffect], delay: np.ndarray) -> np.ndarray:
+        t = record.starts[:, None] + self.dt * np.arange(steps + 1) - delay
         out = np.empty((len(record.starts), steps, record.commands.shape[1]))
         for a in range(out.shape[2]):
             sent, asked = record.sent, record.commands[:, a]
             mine = next((j.name for j in self.robot.joints if j.actuator == a), "")
-            for placed, values in changes:
+            for placed, p in changes:
                 if placed.site in ("", mine) and placed.form.command is not None:
-                    sent, asked = placed.form.command(SimpleNamespace(**dict(values)), sent, asked)
+                    sent, asked = placed.form.command(p, sent, asked)
             edges = np.append(sent, sent[-1] + AFTERWARDS)
             whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
             own = t - self.robot.delays[a]
@@ -333,8 +396,8 @@ class RigidRobot(ParameterRow):
                 moved[1 + self.joints + j, 1, j] = record.rate_error[j]
                 for h, hat in enumerate(hats):
                     pushed[1 + begin + j * len(hats) + h, :, j] = self.torque_error[j] * hat
-            rows = np.tile(self.reference, (len(moved), 1))
-            seen = self._shoot(record, rows, [self.model(self.reference)] * len(rows), moved, pushed)
+            there = self._present(self.reference)
+            (seen,) = self._shoot([record], [there] * len(moved), [self.model(self.reference)] * len(moved), moved, pushed)
             change = -ResidualLayout([record]).residuals([{"joint": seen}])
             change = np.nan_to_num(change[1:] - change[0])
             mine = [b for b in layout.blocks if b.record == i]
@@ -371,6 +434,39 @@ def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSi
             torque.append(np.abs(d.qfrc_inverse[dofs]))
             rate.append(np.abs(v))
     return RobotSizes(np.percentile(torque, USUAL, axis=0), np.percentile(rate, USUAL, axis=0), command)
+
+
+def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], without: frozenset[str]) -> int:
+    """Largest stride whose error in the change by each effect, at its small usual size in a few segments, is below `step_error`.
+
+    without: effects in no question.
+    """
+    limits = assumed("segments")
+    some = thinned(list(records[:1]), int(limits["tried"]))
+    exact = RigidRobot(robot, sizes, without=without)
+    rows = np.tile(exact.nothing, (1 + len(exact.active.names), 1))
+    for k, p in enumerate(p for effect in exact.active.effects for p in effect.parameters):
+        rows[1 + k, len(exact.constants) + k] = p.typical[0]
+
+    def changes(model: RigidRobot) -> np.ndarray:
+        seen = model.predict(some, rows)[0]["joint"]
+        return ((seen[1:] - seen[0]) / some[0].joint.sigma).reshape(len(rows) - 1, -1)
+
+    known = changes(exact)
+    size = np.maximum(np.linalg.norm(known, axis=1), np.sqrt(known.shape[1]))  # below the noise, no share is asked
+    stride = int(limits["step"] / robot.dt)
+    while stride > 1:
+        off = np.linalg.norm(changes(RigidRobot(robot, sizes, without=without, stride=stride)) - known, axis=1) / size
+        if np.all(off < limits["step_error"]):
+            break
+        stride = 2 * stride // 3
+    return max(stride, 1)
+
+
+def _delay(present: list[PresentEffect]) -> tuple[float, float]:
+    """Delay of commands and readings together at the begin of a record [s], and its growth [s/s]."""
+    fixed = sum(getattr(x.p, name) for x in present for name in x.placed.effect.delays.values())
+    return fixed, sum(getattr(x.p, name) - 1.0 for x in present for name in x.placed.effect.drifts.values())
 
 
 def _scaled(p: Parameter, scale: float) -> Parameter:

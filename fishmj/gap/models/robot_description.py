@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from fishmj.base.errors import ConfigError, LogError
+from fishmj.gap.models import joint_laws
 
 MOST_JOINTS = 12
 CONTACTS = 0.05  # share of the logged states in which bodies may touch
@@ -79,6 +80,10 @@ class RobotDescription:
             often = f"bodies of {self.path.name} touch in {100 * np.mean(touching):.0f} % of the logged states"
             raise LogError(f"{often}, and the search leaves contacts out; record where it moves freely, or correct its geoms")
 
+    def takes_laws(self, joint: str) -> bool:
+        """Returns True if the torque of a joint's actuator is affine, so that a law can know it."""
+        return any(j.name == joint and joint_laws.drive_of(self.model, j.actuator, j.joint) is not None for j in self.joints)
+
     def sites(self, kind: str) -> tuple[str, ...]:
         """Names of the sites of a kind: joint, actuator (under its joint's name), body or robot."""
         if kind == "joint":
@@ -130,8 +135,11 @@ def read_robot(path: Path) -> RobotDescription:
     delays = np.array(raw.actuator_delay, float)
     for actuator in working.actuators:
         actuator.delay, actuator.nsample = 0.0, 0
+    for joint in working.joints:
+        joint.userdata = []
+    working.nuser_jnt, working.nuserdata = joint_laws.width(), joint_laws.remembered(len(working.joints))
     m = working.compile()
-    m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     of_joint = {int(m.actuator_trnid[a, 0]): a for a in range(m.nu)}
     dofs, places, bodies = m.jnt_dofadr.tolist(), m.jnt_qposadr.tolist(), m.jnt_bodyid.tolist()
     joints = tuple(

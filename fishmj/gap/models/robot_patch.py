@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from fishmj.gap.models import joint_laws
 from fishmj.gap.models.robot_description import RobotDescription
 
 JOINT = ("stiffness", "jnt_stiffness", "jnt_stiffnesspoly"), ("damping", "dof_damping", "dof_dampingpoly")
@@ -30,6 +31,9 @@ def patched(robot: RobotDescription, model: Any, delay: float = 0.0) -> str:
             field = f"dof_{name}"
             if getattr(model, field)[known.dof] != getattr(before, field)[known.dof]:
                 setattr(joint, name, float(getattr(model, field)[known.dof]))
+    if model.jnt_user.any():  # laws of joint_laws.py
+        spec.nuserdata = max(spec.nuserdata, joint_laws.remembered(len(robot.joints)))
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     if any(model.dof_frictionloss > before.dof_frictionloss):
         off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
         spec.option.disableflags &= ~int(off)  # MuJoCo's dry friction is a constraint

@@ -9,7 +9,7 @@ The draws come from the model's own integrator, not from an independent one. So 
 tolerance of `torque`, and is not measured.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class RobotNull:
     noise: float = 1.0
     seed: int = 0
     without: str = ""
+    kept: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False, compare=False)  # of each set of records
 
     @property
     def text(self) -> str:
@@ -36,6 +37,12 @@ class RobotNull:
 
     def residuals(self, model, records: list, layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
         """(n, m) residuals of the present model on every draw. bars: of the draws."""
+        key = (id(model.robot), layout.size, *(record.name for record in records))
+        if key not in self.kept:
+            self.kept[key] = self._drawn(model, records, layout, bars)
+        return self.kept[key]
+
+    def _drawn(self, model, records: list, layout: ResidualLayout, bars: Bars) -> np.ndarray:
         rng = np.random.default_rng([self.seed, 0x20B07])
         sigma = np.array([constant.sigma for constant in model.constants])
         rows = np.tile(model.nothing, (1 + self.runs, 1))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.base.least_squares import damped_steps, differences, slopes
-from fishmj.effects import Effect
+from fishmj.effects import Effect, Parameter
 from fishmj.gap.thresholds import thresholds
 
 
@@ -71,8 +71,10 @@ class EffectFitter:
         """Candidate of the present model."""
         return self.at(self.model.null)
 
-    def grid_search(self, base: Candidate, effects) -> dict[str, tuple[float, ...]]:
+    def grid_search(self, base: Candidate, effects) -> dict[str, tuple]:
         """{effect: its best few values} for effects of which only a value within a fraction of a per cent explains anything.
+
+        Where that parameter only shapes the effect, as the period of a torque ripple: the best few sets of all its parameters.
 
         A quantised command jumps where c / step does: values lie evenly in 1 / step, and again around the best.
         """
@@ -80,6 +82,9 @@ class EffectFitter:
         found = {}
         for effect, p in [(x, p) for x in effects for p in x.parameters if p.fine]:
             place = self.model.index(effect.name, p.name)
+            if p.shape:
+                found[effect.name] = self._waves(base, effect, p)
+                continue
             # Even in 1 / step, not in step: the phase of the jumps is c / step, and a grid even in step would be far too coarse
             # for small steps and waste most of its values on large ones.
             last = 1.0 / min(abs(t - p.null) for t in p.typical)
@@ -93,20 +98,48 @@ class EffectFitter:
             found[effect.name] = tuple(p.null + 1.0 / best)
         return found
 
-    def screen(self, base: Candidate, effects, fine: dict[str, tuple[float, ...]] | None = None) -> list[Candidate]:
+    def _waves(self, base: Candidate, effect: Effect, shape: Parameter) -> tuple[tuple[float, ...], ...]:
+        """The best few sets of an effect's parameters, linear in all but `shape`, whose values lie evenly in its inverse."""
+        limits = thresholds().fit
+        own = [self.model.index(effect.name, p.name) for p in effect.parameters]
+        linear = [p for p in effect.parameters if not p.shape]
+        sizes = np.array([p.typical[0] for p in linear])
+        inverse = np.linspace(1.0 / shape.typical[1], 1.0 / shape.typical[0], limits.wave_values)
+        tried = np.array([[p.null for p in effect.parameters]] * (len(inverse) * len(linear)))
+        tried[:, effect.parameters.index(shape)] = np.repeat(1.0 / inverse, len(linear))
+        columns = [effect.parameters.index(p) for p in linear]
+        tried[np.arange(len(tried)), np.tile(columns, len(inverse))] += np.tile(sizes, len(inverse))
+        rows = np.tile(base.row, (len(tried), 1))
+        rows[:, own] = tried
+        change = (self.z(rows) - base.z).reshape(len(inverse), len(linear), -1)
+        found = []
+        for moved, value in zip(change, inverse, strict=True):
+            best = -np.linalg.pinv(moved.T) @ base.z
+            vector = np.array([p.null for p in effect.parameters])
+            vector[effect.parameters.index(shape)] = 1.0 / value
+            vector[columns] += best * sizes
+            vector = np.clip(vector, [p.low for p in effect.parameters], [p.high for p in effect.parameters])
+            found.append((float(np.sum((base.z + best @ moved) ** 2)), tuple(vector.tolist())))
+        return tuple(vector for _, vector in sorted(found)[: limits.grid_kept])
+
+    def screen(self, base: Candidate, effects, fine: dict[str, tuple] | None = None) -> list[Candidate]:
         """`base` plus each of `effects`, at the best probe or secant combination; best first.
 
         fine: more values, from `grid_search`.
         """
+        waves = {x.name: (fine or {}).get(x.name, ()) for x in effects if any(p.fine and p.shape for p in x.parameters)}
         # Probes of finite size instead of a gradient at the null: a dead band, play or a speed limit has no derivative there.
         rows, owners = [], []
         for effect in effects:
-            for k, value in probes(effect, (fine or {}).get(effect.name, ())):
+            for k, value in probes(effect, () if effect.name in waves else (fine or {}).get(effect.name, ())):
                 row = base.row.copy()
                 row[self.model.index(effect.name, effect.parameters[k].name)] = value
                 rows.append(row)
                 owners.append((effect, k, value))
-            for row in shape_probes(self.model, base.row, effect):
+            waving = [base.row.copy() for _ in waves.get(effect.name, ())]
+            for row, values in zip(waving, waves.get(effect.name, ()), strict=True):
+                row[[self.model.index(effect.name, p.name) for p in effect.parameters]] = values
+            for row in waving or shape_probes(self.model, base.row, effect):
                 rows.append(row)
                 owners.append((effect, -1, 0.0))
         tried = np.array(rows)
@@ -129,24 +162,23 @@ class EffectFitter:
             out.append(Candidate((*base.names, effect.name), (*base.places, *places), flat[i], float(cost[i]), z[i]))
         return sorted(out, key=lambda c: c.cost)
 
-    def refine(self, candidates: list[Candidate], iterations: int | None = None) -> list[Candidate]:
-        """Damped Gauss-Newton on all parameters of each candidate together (Levenberg 1944, Marquardt 1963); best first."""
+    def refine(self, candidates: list[Candidate], iterations: int | None = None, chord: bool = False) -> list[Candidate]:
+        """Damped Gauss-Newton on all parameters of each candidate together (Levenberg 1944, Marquardt 1963); best first.
+
+        chord: the slopes at the start serve all iterations.
+        """
         low, high, size = bounds(self.model)
         prior = thresholds().fit.prior_sd
         best = list(candidates)
         damping = [1e-2] * len(best)
+        slopes_of: list[np.ndarray] = []
         for _ in range(thresholds().fit.iterations if iterations is None else iterations):
-            # All candidates share each call of `z`: the compiled rollouts are vectorised over rows.
-            steps = [difference_rows(self.model, c) for c in best]
-            z = self.z(np.concatenate([rows for rows, _ in steps]))
+            if not (chord and slopes_of):
+                slopes_of = self._slopes(best)
             trials: list[np.ndarray] = []
             owner: list[int] = []
-            first = 0
-            for i, (c, (rows, moved)) in enumerate(zip(best, steps, strict=True)):
+            for i, (c, jac) in enumerate(zip(best, slopes_of, strict=True)):
                 places = list(c.places)
-                # Per typical size: effects have units from rad to N s2/m2, and both the damping and the prior need one scale.
-                jac = slopes(z[first : first + len(rows)], c.z, moved, size[places])
-                first += len(rows)
                 away = (c.row - self.model.null)[places] / size[places]
                 # The prior is in the normal matrix, not only in the cost: a parameter that these records do not determine has
                 # no slope, and without the prior the step along it would be arbitrary.
@@ -171,6 +203,19 @@ class EffectFitter:
                 else:
                     damping[i] = min(1e4, damping[i] * 100)
         return sorted(best, key=lambda c: c.cost)
+
+    def _slopes(self, candidates: list[Candidate]) -> list[np.ndarray]:
+        """(K, m) change of z with each parameter of each candidate, per typical size.
+
+        Effects have units from rad to N s2/m2, and both the damping and the prior of `refine` need one scale.
+        """
+        # All candidates share one call of `z`: the compiled rollouts are vectorised over rows.
+        steps = [difference_rows(self.model, c) for c in candidates]
+        z = self.z(np.concatenate([rows for rows, _ in steps]))
+        parts = np.split(z, np.cumsum([len(rows) for rows, _ in steps])[:-1])
+        size = bounds(self.model)[2]
+        given = zip(parts, candidates, steps, strict=True)
+        return [slopes(part, c.z, moved, size[list(c.places)]) for part, c, (_, moved) in given]
 
 
 def refine(search: EffectFitter, c: Candidate) -> Candidate:

@@ -96,6 +96,13 @@ class Likelihood:
         known = self.d**2
         self.response = ModelResponse(self.factors, self.by_record, self.layout.record, known, *np.zeros((2, self.layout.size)))
 
+    def with_record_errors(self, model) -> "Likelihood":
+        """The same with a model that differs in its `record_errors` only."""
+        there = copy(self)
+        there.model, there.origin = model, there
+        there._cover(self._null_factors * np.sqrt(self.runs), self.widths)
+        return there
+
     def with_own_widths(self) -> "Likelihood":
         """The same records, healthy swims of one robot, with their own most likely scales (`structural_error.own_widths`)."""
         null, moved, there = self._null_factors * np.sqrt(self.runs), self._structural.moved, copy(self)

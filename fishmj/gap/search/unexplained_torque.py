@@ -1,6 +1,6 @@
 """Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
 
-    all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again ..
+    best single effect -> all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted ..
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
@@ -16,14 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.effects import Effect
 from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.fit import EffectFitter
 from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.stepwise import informative_records
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
-
 
 class UnexplainedTorque(NamedTuple):
     """(J,) N m: deviations with the model as it is, and with all effects fitted."""
@@ -42,15 +44,33 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
     runs = null.residuals(model, records, ResidualLayout(records), bars)
     e = Likelihood(wide, records, runs)
     before = torques(e, row)
+    few = informative_records(e.subset().base(), e.layout, model.screened_records)
+    row = _with_best(e.subset(few), row, model.active.effects)
     with bars(limits.fits, "torques that no effect explains", "fits") as bar:
         for k in range(limits.fits):
+            if k:
+                row = _with_best(e.subset(few), row, [x for x in model.active.effects if _idle(model, row, x)])
             fit = e.subset()
-            row = fit.refine([fit.at(row, names, places)], limits.steps)[0].row
+            row = fit.refine([fit.at(row, names, places)], limits.steps, chord=True)[0].row
             wide = model.with_errors(np.maximum(torques(e, row), model.torque_tolerance), row)
-            e = Likelihood(wide, records, runs)
+            e = e.with_record_errors(wide)
             bar.update(k + 1)
     least = torques(e, row)
     return model.with_errors(np.maximum(least, model.torque_tolerance), row), UnexplainedTorque(before, least)
+
+
+def _with_best(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> np.ndarray:
+    """The row with the best of some effects at a finite size: play, a limit or a period has no slope where it is not there."""
+    base = fit.at(row)
+    waves = [x for x in effects if any(p.fine and p.shape for p in x.parameters)]
+    found = fit.screen(base, effects, fit.grid_search(base, waves)) if effects else []
+    return found[0].row if found and found[0].cost < base.cost else row
+
+
+def _idle(model, row: np.ndarray, effect: Effect) -> bool:
+    """Returns True for an effect that a row does not have."""
+    away = [(row[model.index(effect.name, p.name)] - p.null) / (p.typical[1] - p.null) for p in effect.parameters if not p.shape]
+    return bool(np.all(np.abs(away) < thresholds().torques.idle))
 
 
 def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
