@@ -83,7 +83,9 @@ def main(argv: list[str]) -> int:
     robots = console.Listed(console.OneOf(tuple(robot_cases.FAMILIES)))
     shares = f"of --generator robots: only {', '.join(robot_cases.FAMILIES)} (default all, in their shares)"
     add("--robots", type=robots, default=list(robot_cases.FAMILIES), metavar="NAME,..", help=shares)
-    scoring = "score what runs of --generator families kept in these folders, all together; search nothing (default none)"
+    scoring = (
+        "score what runs of --generator families or robots kept in these folders, all together; search nothing (default none)"
+    )
     add("--score", nargs="+", type=console.path, metavar="DIR", help=scoring)
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
@@ -96,7 +98,8 @@ def main(argv: list[str]) -> int:
     add("--yes", action="store_true", help="begin also what takes longer than a week")
     args = parser.parse_args(argv)
     if args.score:
-        return family_command.together(args.score, args)
+        articulated = all(robot_bench.has_rows(folder) for folder in args.score)
+        return (robot_bench if articulated else family_command).together(args.score, args)
     if articulated := robot_bench.selected(args.generator):
         refuse_articulated(args, articulated)
         return robot_bench.bench(args, articulated)

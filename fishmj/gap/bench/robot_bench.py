@@ -61,6 +61,24 @@ def bench(args, generators: tuple[str, ...]) -> int:
     return print_score(rows, args, args.strict or whole)
 
 
+def together(folders: list[Path], args) -> int:
+    """Scores the rows of several folders. Raises ConfigError for rows of two benchmarks under one id."""
+    rows: dict[str, dict] = {}
+    for folder in folders:
+        for row in read_rows(folder / "rows.jsonl"):
+            other = rows.setdefault(row["id"], row)
+            if other.get("truth") != row.get("truth") or other.get("seed") != row.get("seed"):
+                raise ConfigError(
+                    f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark alone"
+                )
+    return print_score(list(rows.values()), args, args.strict)
+
+
+def has_rows(folder: Path) -> bool:
+    """Returns True if a folder holds rows on articulated robots."""
+    return any(row.get("generator") in robot_session.NAMES for row in read_rows(folder / "rows.jsonl")[:1])
+
+
 def judge_row(folder: Path, one: DataSet) -> dict:
     """Row of a data set."""
     return judge_set(folder, one.row)

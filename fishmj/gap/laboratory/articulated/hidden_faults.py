@@ -1,4 +1,4 @@
-"""What can be hidden in an articulated robot: sizes drawn over a range, and where each acts.
+"""Effects and faults to hide in an articulated robot: sizes drawn over a range, and where each acts.
 
     plan      changes numbers of the robot, before a generator builds it
     timing    changes commands on their way or readings (robot_stand.py)

@@ -55,7 +55,7 @@ def draw_stand(rng: np.random.Generator, logs: int, seconds: float) -> Stand:
     return Stand(tick, float(rng.choice((4096, 16384, 65536))), float(rng.uniform(5e-5, 3e-4)), seconds, logs)
 
 
-class Reference:
+class SwingReference:
     """Reference angles and rates of one log: sums of sines that begin at rest in the middle. `at(t)` -> (J,), (J,), (J,)."""
 
     def __init__(self, plan: RobotPlan, rng: np.random.Generator, reach: float = 1.0):
@@ -76,10 +76,11 @@ class Reference:
         return self.middle + ramp * told[0], ramp * told[1] + (told[0] / 0.5 if ramp < 1.0 else 0.0), ramp * told[2]
 
 
-def references(plan: RobotPlan, seed: int, logs: int) -> list[Reference]:
+def references(plan: RobotPlan, seed: int, logs: int) -> list[SwingReference]:
     """Reference of each log of a session."""
     return [
-        Reference(plan, np.random.default_rng([seed, 31, i]), reach) for i, reach in zip(range(logs), _reaches(logs), strict=True)
+        SwingReference(plan, np.random.default_rng([seed, 31, i]), reach)
+        for i, reach in zip(range(logs), _reaches(logs), strict=True)
     ]
 
 
@@ -105,7 +106,7 @@ def usual_motion(plan: RobotPlan, seed: int, stand: Stand) -> UsualMotion:
 class Host:
     """The controller of a log: references to position servos; computed torque plus feedback to torque motors."""
 
-    def __init__(self, plan: RobotPlan, reference: Reference, tick: float):
+    def __init__(self, plan: RobotPlan, reference: SwingReference, tick: float):
         self.plan, self.reference, self.tick = plan, reference, tick
         self.m = mujoco.MjModel.from_xml_string(mjcf(plan))
         self.d = mujoco.MjData(self.m)
@@ -128,8 +129,8 @@ class Host:
         return np.clip(asked, -self.plan.column("limit"), self.plan.column("limit"))
 
 
-class Timing(NamedTuple):
-    """What the hidden effects do to commands and readings."""
+class StandTiming(NamedTuple):
+    """Changes of commands and readings by the hidden effects; s, 1, rad."""
 
     late: float
     seen_late: float
@@ -142,7 +143,7 @@ class Timing(NamedTuple):
     scale: np.ndarray
 
 
-def timing_of(hidden: Hidden, joints: int) -> Timing:
+def timing_of(hidden: Hidden, joints: int) -> StandTiming:
     """Timing of a robot."""
     step, zero, scale = np.zeros(joints), np.zeros(joints), np.ones(joints)
     whole = {"command_latency": 0.0, "joint_sensor_delay": 0.0, "command_hold": 0.0, "latency_jitter": 0.0, "packet_loss": 0.0}
@@ -160,13 +161,13 @@ def timing_of(hidden: Hidden, joints: int) -> Timing:
         elif effect == "joint_scale":
             scale[k] = 1.0 + values["scale"]
     late, seen_late, period, jitter, loss = whole.values()
-    return Timing(late, seen_late, period, jitter, loss, rate, step, zero, scale)
+    return StandTiming(late, seen_late, period, jitter, loss, rate, step, zero, scale)
 
 
 class Channel:
     """Commands on their way to the motors."""
 
-    def __init__(self, timing: Timing, rng: np.random.Generator):
+    def __init__(self, timing: StandTiming, rng: np.random.Generator):
         self.timing, self.rng = timing, rng
         self.arrivals: list[float] = []
         self.commands: list[np.ndarray] = []
@@ -191,7 +192,14 @@ class Channel:
 
 
 def run(
-    plant: Any, plan: RobotPlan, described: RobotPlan, reference: Reference, stand: Stand, hidden: Hidden, push: np.ndarray, rng
+    plant: Any,
+    plan: RobotPlan,
+    described: RobotPlan,
+    reference: SwingReference,
+    stand: Stand,
+    hidden: Hidden,
+    push: np.ndarray,
+    rng,
 ) -> LogRun:
     """One log. plan: the true robot. described: the one in question. push: torques (n, J) of no cause, every spacing.
 
