@@ -98,8 +98,8 @@ def main(argv: list[str]) -> int:
     add("--yes", action="store_true", help="begin also what takes longer than a week")
     args = parser.parse_args(argv)
     if args.score:
-        articulated = all(robot_bench.has_rows(folder) for folder in args.score)
-        return (robot_bench if articulated else family_command).together(args.score, args)
+        in_mjcf = all(robot_bench.has_rows(folder) for folder in args.score)
+        return (robot_bench if in_mjcf else family_command).together(args.score, args)
     if articulated := robot_bench.selected(args.generator):
         refuse_articulated(args, articulated)
         return robot_bench.bench(args, articulated)

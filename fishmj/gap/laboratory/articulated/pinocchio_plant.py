@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.base.errors import MissingExtra
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden
 from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, motor_torque
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan
@@ -27,10 +26,8 @@ class PinocchioPlant:
     h = 0.0005
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
-        try:
-            import pinocchio as pin
-        except ModuleNotFoundError as error:
-            raise MissingExtra("pinocchio", "bench", "a robot of the generator pinocchio") from error
+        import pinocchio as pin
+
         self.pin, self.plan, self.hidden = pin, plan, hidden
         self.m = pinocchio_model(pin, plan)
         self.d = self.m.createData()

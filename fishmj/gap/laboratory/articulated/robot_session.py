@@ -24,6 +24,7 @@ MUJOCO, PINOCCHIO, BAM = "mujoco", "pinocchio", "bam"
 NAMES = (MUJOCO, PINOCCHIO, BAM)
 SEEN = 5.0  # mean square from which an effect shows
 DRAWS = 5  # of a size and a site, until it shows
+CALM = 0.055  # s, swing over the speed without load, so that a healthy servo has voltage to spare
 PLANS = 60  # drawn robots, until one fits
 SMALL = ("pendulum", "two_link")  # that a hobby servo moves
 OF_SERVOS = (
@@ -163,6 +164,7 @@ def carrying(plan: RobotPlan, kind: BamServo, constants: Mapping[str, float], rn
     """The robot with a servo at each joint, its links made as heavy as the servos can move."""
     stall = kind.volts * kind.duty * constants["k_t"] / constants["r"]
     size = 1.0 if stall > 2.0 else 0.35  # of its links, over those of an arm
+    reach_of = CALM * kind.volts * kind.duty / constants["k_t"]
     limbs = []
     for k, b in enumerate(plan.limbs):
         centre = tuple(size * x for x in b.centre)
@@ -181,6 +183,7 @@ def carrying(plan: RobotPlan, kind: BamServo, constants: Mapping[str, float], rn
                 kp=kind.stiffness * kind.volts * constants["k_t"] / constants["r"],
                 kv=constants["k_t"] ** 2 / constants["r"],
                 limit=stall,
+                swing=(b.swing[0], min(b.swing[1], reach_of)),
                 gear=1.0,
             )
         )
