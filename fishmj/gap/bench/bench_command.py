@@ -14,7 +14,7 @@ With --generator robots, or some of mujoco, pinocchio (extra `bench`) and bam, p
 `gap find --model` searches their logs. The data sets are made first; another machine may judge them.
 
 fishmj gap bench --generator robots --robots pendulum,two_link --small --jobs 0 --out robots
-fishmj gap bench --generator robots --only-sets --sets sets --out robots
+fishmj gap bench --generator robots --only-sets pinocchio --sets sets --out robots
 fishmj gap bench --generator robots --sets sets --jobs 64 --out robots
 """
 
@@ -41,7 +41,7 @@ from fishmj.mjcf.reading import load_robot
 
 ALONE = ("second", "lbm", "log")  # benchmarks of their own
 SOLVER = "solver"  # a family whose robots are swum beforehand
-GENERATORS = (*ALONE, *families.NAMES, family_command.ALL, SOLVER, robot_bench.ALL, *robot_session.NAMES)
+GENERATORS = (*ALONE, *families.NAMES, family_command.ALL, SOLVER, *robot_bench.GENERATORS)
 GENERATED = (
     "second: the second robot, model as described; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a"
     f" term deleted; or, with drawn and calibrated models, some of {', '.join(families.NAMES)}; families: all four;"
@@ -79,7 +79,9 @@ def main(argv: list[str]) -> int:
     add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
     sets = "of --generator solver: folder that python -m fishmj.gap.bench.solver_family made; of robots: folder of data sets"
     add("--sets", type=console.path, metavar="DIR", help=f"{sets} (default OUT/sets)")
-    add("--only-sets", action="store_true", help="of --generator robots: make the data sets, and stop")
+    making = f"of --generator robots: make the data sets of {robot_bench.ALL}, or of some, and stop (default: judge them, too)"
+    only = console.Listed(console.OneOf(robot_bench.GENERATORS))
+    add("--only-sets", type=only, default=[], metavar="NAME,..", help=making)
     robots = console.Listed(console.OneOf(tuple(robot_cases.FAMILIES)))
     shares = f"of --generator robots: only {', '.join(robot_cases.FAMILIES)} (default all, in their shares)"
     add("--robots", type=robots, default=list(robot_cases.FAMILIES), metavar="NAME,..", help=shares)

@@ -14,6 +14,7 @@ from fishmj.gap.bench.robot_rows import judge_set
 from fishmj.gap.laboratory.articulated import robot_session
 
 ALL = "robots"
+GENERATORS = (ALL, *robot_session.NAMES)
 CASES, FEW = 520, 24  # by default; of a small benchmark
 SETS = "sets"  # folder of data sets, in that of the rows
 A_CASE = {1: 60.0, 2: 120.0, 6: 1500.0, 12: 6000.0}  # s of a core for a robot of so many joints
@@ -42,6 +43,8 @@ def bench(args, generators: tuple[str, ...]) -> int:
     if not todo:
         raise ConfigError(f"gap bench: no case is left of {count}, every {shards}th from {index}; take more --cases")
     jobs, folder = args.jobs or usable_cores(), args.sets or args.out / SETS
+    if args.only_sets:
+        todo = [case for case in todo if case.generator in selected(args.only_sets)]
     made = judge_cases(todo, folder, partial(robot_cases.make_set, folder), jobs, "data sets")
     for row, case in zip(made, todo, strict=True):
         robot_cases.check_same(row, case, folder)

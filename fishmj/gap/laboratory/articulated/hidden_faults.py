@@ -110,6 +110,12 @@ def _draw_wind(rng, plan, usual, k):
     return {"x": float(size * np.cos(way)), "y": float(size * np.sin(way)), "z": 0.0}
 
 
+def _draw_ripple(rng, plan, usual, k):
+    size, phase = _size(rng, 0.08, 0.25) * usual.torque[k], rng.uniform(0.0, 2 * np.pi)
+    period = 2.0 * np.pi / int(rng.integers(6, 24))
+    return {"sine": float(size * np.cos(phase)), "cosine": float(size * np.sin(phase)), "period": period}
+
+
 FAULTS: dict[str, Fault] = {
     "coulomb_friction": Fault("joint", _of("torque", 0.04, 0.25, torque), _added("friction", "torque")),
     "viscous_friction": Fault("joint", _of("damping", 0.05, 0.3, damping), _added("damping", "damping")),
@@ -150,14 +156,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "load_friction": Fault("joint", _of("ratio", 0.08, 0.3)),
     "speed_limit": Fault("actuator", lambda rng, plan, usual, k: {"slowness": _size(rng, 0.35, 0.8) / float(usual.rate[k])}),
-    "torque_ripple": Fault(
-        "actuator",
-        lambda rng, plan, usual, k: {
-            "torque": _size(rng, 0.08, 0.25) * usual.torque[k],
-            "periods": float(rng.integers(4, 12)),
-            "phase": float(rng.uniform(0, 2 * np.pi)),
-        },
-    ),
+    "torque_ripple": Fault("joint", _draw_ripple),
     # outside every catalogue
     "elastic_coupling": Fault("joint", _of("stiffness", 0.15, 0.6, torque), coupled=True),
     "cable_torque": Fault(
@@ -198,13 +197,41 @@ def placed(name: str) -> tuple[str, int]:
     return effect, int(site[1:]) - 1 if site else -1
 
 
-def draw_hidden(name: str, rng: np.random.Generator, plan: RobotPlan, usual: UsualMotion) -> dict[str, Any]:
-    """{name at a drawn site: its values}."""
+SHAPES = ("speed", "phase", "frequency", "from", "side", "angle")  # parameters that are no sizes, beside a ripple's period
+MOST = {  # sizes beyond which a robot would be broken, not wrong
+    **{"gain": 0.7, "scale": 0.2, "offset": 0.3, "pitch": 0.25, "roll": 0.25, "density": 400.0, "probability": 0.5},
+    **{"delay": 0.12, "period": 0.15, "sigma": 0.08, "ratio": 0.7},
+}
+LEAST_LIMIT = 0.4  # of the usual torque
+FASTEST_CLOCK = 0.015
+
+
+def stronger(effect: str, values: dict[str, float], strength: float, least: float) -> dict[str, float]:
+    """Values of an effect `strength` times as large, within its bounds. least: of a limit of torque."""
+    out = {}
+    for key, value in values.items():
+        if key in SHAPES or (effect, key) == ("torque_ripple", "period"):
+            out[key] = value
+        elif key == "limit":
+            out[key] = max(value / strength, least)
+        elif key == "rate":
+            out[key] = 1.0 + float(np.clip(strength * (value - 1.0), -FASTEST_CLOCK, FASTEST_CLOCK))
+        else:
+            most = MOST.get(key, np.inf)
+            out[key] = float(np.clip(strength * value, -most, most))
+    return out
+
+
+def draw_hidden(
+    name: str, rng: np.random.Generator, plan: RobotPlan, usual: UsualMotion, strength: float = 1.0
+) -> dict[str, Any]:
+    """{name at a drawn site: its values}, `strength` times a usual size."""
     fault = FAULTS[name]
     able = [k for k, b in enumerate(plan.limbs) if not fault.coupled or b.parent >= 0]
     k = int(rng.choice(able))
     site = {"robot": "", "body": "@" + body(k)}.get(fault.site, "@" + joint(k))
-    return {name + site: {key: float(value) for key, value in fault.draw(rng, plan, usual, k).items()}}
+    values = {key: float(value) for key, value in fault.draw(rng, plan, usual, k).items()}
+    return {name + site: stronger(name, values, strength, LEAST_LIMIT * float(usual.torque[k]))}
 
 
 def fits(name: str, plan: RobotPlan) -> bool:

@@ -1,7 +1,7 @@
 """Torques at the joints that no plain field of a simulator has, written from their formulas.
 
     speed limit          |tau| <= limit (1 - slowness |v|) where the motor drives          line between stall and no load
-    torque ripple        tau = A sin(n q + phi)                                            cogging
+    torque ripple        tau = a sin(2 pi q / P) + b cos(2 pi q / P)                       cogging
     elastic coupling     tau = -K (q_j - q_i) at j, + at the joint i before it             a belt, a biarticular spring
     cable torque         tau = -s A (max(0, s (q - q_0)) / 0.3)^2                          a hose that tightens
     vibration            tau = A sin(2 pi f t + phi)                                       an imbalance, a fan
@@ -48,7 +48,8 @@ class JointLaws:
                 if motor[k] * v[k] > 0 and abs(motor[k]) > most:
                     out[k] += np.sign(motor[k]) * most - motor[k]
             elif effect == "torque_ripple":
-                out[k] += p["torque"] * np.sin(p["periods"] * q[k] + p["phase"])
+                turn = 2.0 * np.pi * q[k] / p["period"]
+                out[k] += p["sine"] * np.sin(turn) + p["cosine"] * np.cos(turn)
             elif effect == "elastic_coupling":
                 pull = p["stiffness"] * (q[k] - q[self.parents[k]])
                 out[k] -= pull

@@ -3,8 +3,8 @@
     told = draw_session("pinocchio", "arm", ("coulomb_friction",), seed=7, logs=4, seconds=4.5)
     told.plan, told.hidden, told.logs, told.visible
 
-A seed gives the same session on every machine. An effect that does not show is drawn anew, at another site and in another size, a
-few times. A robot whose description does not fit an effect is drawn anew, too.
+A seed gives the same session on every machine. An effect that does not show is drawn anew, at another site and 1.8 times as
+large, a few times. A robot whose description does not fit an effect is drawn anew, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from fishmj.gap.laboratory.articulated.robot_stand import LogRun, Stand, draw_st
 MUJOCO, PINOCCHIO, BAM = "mujoco", "pinocchio", "bam"
 NAMES = (MUJOCO, PINOCCHIO, BAM)
 SEEN = 5.0  # mean square from which an effect shows
-DRAWS = 5  # of a size and a site, until it shows
+DRAWS, GROWTH = 6, 1.8  # of a size and a site, each time larger, until it shows
 CALM = 0.055  # s, swing over the speed without load, so that a healthy servo has voltage to spare
 PLANS = 60  # drawn robots, until one fits
 SMALL = ("pendulum", "two_link")  # that a hobby servo moves
@@ -84,12 +84,9 @@ def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, lo
     hidden: dict[str, dict[str, float]] = {}
     visible: dict[str, float] = {}
     for name in names:
-        for _ in range(DRAWS):
-            one = (
-                {key: v for key, v in own.items() if placed(key)[0] == name}
-                if name in _stated(own)
-                else draw_hidden(name, rng, plan, usual)
-            )
+        fixed = {key: values for key, values in own.items() if placed(key)[0] == name}  # a servo's own constants
+        for attempt in range(1 if fixed else DRAWS):
+            one = fixed or draw_hidden(name, rng, plan, usual, GROWTH**attempt)
             seen = visibility_of(generator, plan, one, law, stand, usual, seed)
             if seen > SEEN:
                 break
@@ -97,10 +94,6 @@ def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, lo
         visible |= dict.fromkeys(one, seen)
     build = builder(generator, law, hidden)
     return RobotSession(plan, hidden, stand, session(build, plan, hidden, stand, usual, seed), visible, servo)
-
-
-def _stated(own: Hidden) -> set[str]:
-    return {placed(name)[0] for name in own}
 
 
 def visibility_of(generator: str, plan: RobotPlan, one: Hidden, law: dict, stand: Stand, usual: UsualMotion, seed: int) -> float:

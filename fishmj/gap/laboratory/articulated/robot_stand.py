@@ -20,7 +20,7 @@ from fishmj.gap.laboratory.articulated.robot_plan import ANGLE, RobotPlan, carri
 
 SEGMENT = 0.3  # s
 HEALTHY = 3  # robots that tell the scatter
-SLOW = 0.01  # share by which the clock of a log may be off
+SLOW = 0.02  # share by which the clock of a log may be off
 FAR = 25.0  # rad: a joint that turns further has run away
 TONES = (0.25, 1.6)  # Hz
 LOOP = 9.0  # rad/s, of the host's position loop
