@@ -21,12 +21,18 @@ TIGHT = 0.3  # rad over which a cable's torque grows to its size
 LARGEST = 9.0  # of the cable's (angle / TIGHT)^2
 
 
-def motor_torque(plan: RobotPlan, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(J,) torque of the actuators for delivered commands u."""
-    gear, kp, kv = plan.column("gear"), plan.column("kp"), plan.column("kv")
-    limit, offset = plan.column("limit"), plan.column("offset")
-    asked = gear * u if plan.torques else kp * (u - q) - kv * v
-    return np.clip(asked + offset, -limit, limit)
+class JointMotors:
+    """The actuators of a robot. `torque(u, q, v)` -> (J,) N m for delivered commands u, angles and rates."""
+
+    def __init__(self, plan: RobotPlan):
+        self.torques, self.gear = plan.torques, plan.column("gear")
+        self.kp, self.kv = plan.column("kp"), plan.column("kv")
+        self.limit, self.offset = plan.column("limit"), plan.column("offset")
+
+    def torque(self, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Torque within the motors' limits."""
+        asked = self.gear * u if self.torques else self.kp * (u - q) - self.kv * v
+        return np.minimum(np.maximum(asked + self.offset, -self.limit), self.limit)
 
 
 class JointLaws:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.gap.laboratory.articulated.bam_servo import LAWS, friction_budget
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, placed
-from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, motor_torque
+from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, JointMotors
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
 
 
@@ -25,6 +25,7 @@ class MujocoPlant:
         self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit"))
         self.d = mujoco.MjData(self.m)
         self.dry = self.m.dof_frictionloss.copy()
+        self.motors = JointMotors(plan)
         self.laws = JointLaws(plan, hidden)
 
     def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
@@ -49,7 +50,7 @@ class MujocoPlant:
         d.ctrl[:] = u
         d.qfrc_applied[:] = push
         if self.laws.laws:
-            motor = motor_torque(self.plan, u, d.qpos, d.qvel)
+            motor = self.motors.torque(u, d.qpos, d.qvel)
             d.qfrc_applied[:] += self.laws.torques(d.qpos, d.qvel, motor, d.time, self.h)
             m.dof_frictionloss[:] = self.dry + self.laws.friction(d.qvel, motor)
         mujoco.mj_step(m, d)

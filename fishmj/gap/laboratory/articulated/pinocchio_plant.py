@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden
-from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, motor_torque
+from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, JointMotors
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan
 
 CREEP = 0.005  # rad/s, v_0
@@ -31,6 +31,7 @@ class PinocchioPlant:
         self.pin, self.plan, self.hidden = pin, plan, hidden
         self.m = pinocchio_model(pin, plan)
         self.d = self.m.createData()
+        self.motors = JointMotors(plan)
         self.armature = plan.column("armature")
         self.dry, self.damping, self.drag = plan.column("friction"), plan.column("damping"), plan.column("drag")
         self.spring, self.kv = plan.column("stiffness"), plan.column("kv")
@@ -44,7 +45,7 @@ class PinocchioPlant:
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
         """One step."""
         q, v, h = self.q, self.v, self.h
-        motor = motor_torque(self.plan, u, q, v)
+        motor = self.motors.torque(u, q, v)
         laws = self.laws
         added = laws.torques(q, v, motor, self.t, h) if laws.laws else 0.0
         size = self.dry + laws.friction(v, motor) if laws.rubs else self.dry
