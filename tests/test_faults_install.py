@@ -142,7 +142,7 @@ def test_extras_of_packages_are_those_of_the_project():
         "ruamel": ["rosbags"],
         **{name: [name] for name in ("pysindy", "onnx", "ray", "torch", "stable_baselines3")},
     }
-    distributions["dm_env"] = ["dm-control"]
+    distributions["dm_env"], distributions["pinocchio"] = ["dm-control"], ["pin"]
     for name, extra in extras.EXTRA_OF.items():
         installed = {re.split(r"[^\w-]", line, maxsplit=1)[0] for line in table[extra]}
         assert installed & {distribution.replace("_", "-") for distribution in distributions[name]}, name

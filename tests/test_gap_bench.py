@@ -80,6 +80,6 @@ def test_rows_are_kept_and_not_made_again(tmp_path):
 
     todo = [Asked("a"), Asked("b"), Asked("c")]
     (tmp_path / "rows.jsonl").write_text(json.dumps({"id": "b", "kept": True}) + "\n" + '{"id": "c", "ke')
-    assert bench_command.judge_cases(todo, tmp_path, ask) == [{"id": "a"}, {"id": "b", "kept": True}, {"id": "c"}]
+    assert bench_rows.judge_cases(todo, tmp_path, ask) == [{"id": "a"}, {"id": "b", "kept": True}, {"id": "c"}]
     assert made == ["a", "c"]
     assert [row["id"] for row in bench_rows.read_rows(tmp_path / "rows.jsonl")] == ["b", "a", "c"]  # the cut line took none along

@@ -30,6 +30,7 @@ EXTRA_OF = {  # import name -> the extra that installs it
     "rosbags": "logs",
     "ruamel": "logs",
     "pysindy": "bench",
+    "pinocchio": "bench",
     "ray": "ray",
     "onnx": "onnx",
     "torch": "sb3",

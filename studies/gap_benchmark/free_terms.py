@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fishmj.base import console
 from fishmj.base.errors import SimDiverged
-from fishmj.gap.bench import bench_command, cases
+from fishmj.gap.bench import bench_rows, cases
 from fishmj.gap.bench.run_case import true_gap
 from fishmj.gap.bench.score import DETECTABLE, share
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     drawn = cases.draw(args.cases, args.seed, {"off": 1.0})
     todo = [c for c in drawn if next(iter(c.effects)) in RIGHT]
-    result = summary(bench_command.judge_cases(todo, args.out, judge_case, what="fallback"))
+    result = summary(bench_rows.judge_cases(todo, args.out, judge_case, what="fallback"))
     console.say(console.table(result["families"]), f"right term in the first two: {result['right']}")
     if args.json:
         console.emit_json(result)

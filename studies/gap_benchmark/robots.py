@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.bench.bench_command import judge_cases
+from fishmj.gap.bench.bench_rows import judge_cases
 from fishmj.gap.bench.run_case import effect_row, fish
 from fishmj.gap.bench.score import share
 from fishmj.gap.commands import admission, gap_options

@@ -9,6 +9,13 @@ its aims, except with --small.
 fishmj gap bench --generator families --jobs 0 --shard 0/4 --out bench0        a quarter of it, one of four machines
 fishmj gap bench --score bench0 bench1 bench2 bench3                            all of it
 fishmj gap bench --generator families --power --effects quadratic_drag --out power     how often it is found, by its strength
+
+With --generator robots, or some of mujoco, pinocchio (extra `bench`) and bam, pendulums, arms and legs are drawn in MJCF, and
+`gap find --model` searches their logs. The data sets are made first; another machine may judge them.
+
+fishmj gap bench --generator robots --robots pendulum,two_link --small --jobs 0 --out robots
+fishmj gap bench --generator robots --only-sets pinocchio --sets sets --out robots
+fishmj gap bench --generator robots --sets sets --jobs 64 --out robots
 """
 
 import argparse
@@ -17,17 +24,16 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from fishmj.base import console, cost, interrupt
+from fishmj.base import console, cost
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
-from fishmj.gap import progress
-from fishmj.gap.bench import cases, families, family_command, logs, power, solver
-from fishmj.gap.bench.bench_rows import keep, read_rows
+from fishmj.gap.bench import cases, families, family_command, logs, power, robot_bench, robot_cases, solver
+from fishmj.gap.bench.bench_rows import judge_cases, read_rows
 from fishmj.gap.bench.run_case import fish, run
 from fishmj.gap.bench.score import score
-from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.commands import admission, gap_options
+from fishmj.gap.laboratory.articulated import robot_session
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import compile_kernel
@@ -35,11 +41,12 @@ from fishmj.mjcf.reading import load_robot
 
 ALONE = ("second", "lbm", "log")  # benchmarks of their own
 SOLVER = "solver"  # a family whose robots are swum beforehand
-GENERATORS = (*ALONE, *families.NAMES, family_command.ALL, SOLVER)
+GENERATORS = (*ALONE, *families.NAMES, family_command.ALL, SOLVER, *robot_bench.GENERATORS)
 GENERATED = (
     "second: the second robot, model as described; lbm: shipped sets of the flow solver; log: measured sets (FISHMJ_MEASURED), a"
     f" term deleted; or, with drawn and calibrated models, some of {', '.join(families.NAMES)}; families: all four;"
-    f" {SOLVER}: robots of the flow solver, calibrated, data sets of --sets"
+    f" {SOLVER}: robots of the flow solver, calibrated, data sets of --sets; {robot_bench.ALL}: arms and legs in MJCF, by all of"
+    f" {', '.join(robot_session.NAMES)}"
 )
 CASES = 400
 SECOND_TOO = f"the second robot with drawn and calibrated models is {families.SECOND}"
@@ -70,9 +77,17 @@ def main(argv: list[str]) -> int:
     add("--power", action="store_true", help=f"{strengths} ({power.CASES} cases by default)")
     add("--uncalibrated", action="store_true", help="of families: question the description as it is")
     add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
-    sets = "of --generator solver: folder that python -m fishmj.gap.bench.solver_family made (default none)"
-    add("--sets", type=console.path, metavar="DIR", help=sets)
-    scoring = "score what runs of --generator families kept in these folders, all together; search nothing (default none)"
+    sets = "of --generator solver: folder that python -m fishmj.gap.bench.solver_family made; of robots: folder of data sets"
+    add("--sets", type=console.path, metavar="DIR", help=f"{sets} (default OUT/sets)")
+    making = f"of --generator robots: make the data sets of {robot_bench.ALL}, or of some, and stop (default: judge them, too)"
+    only = console.Listed(console.OneOf(robot_bench.GENERATORS))
+    add("--only-sets", type=only, default=[], metavar="NAME,..", help=making)
+    robots = console.Listed(console.OneOf(tuple(robot_cases.FAMILIES)))
+    shares = f"of --generator robots: only {', '.join(robot_cases.FAMILIES)} (default all, in their shares)"
+    add("--robots", type=robots, default=list(robot_cases.FAMILIES), metavar="NAME,..", help=shares)
+    scoring = (
+        "score what runs of --generator families or robots kept in these folders, all together; search nothing (default none)"
+    )
     add("--score", nargs="+", type=console.path, metavar="DIR", help=scoring)
     add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
     shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
@@ -85,7 +100,11 @@ def main(argv: list[str]) -> int:
     add("--yes", action="store_true", help="begin also what takes longer than a week")
     args = parser.parse_args(argv)
     if args.score:
-        return family_command.together(args.score, args)
+        in_mjcf = all(robot_bench.has_rows(folder) for folder in args.score)
+        return (robot_bench if in_mjcf else family_command).together(args.score, args)
+    if articulated := robot_bench.selected(args.generator):
+        refuse_articulated(args, articulated)
+        return robot_bench.bench(args, articulated)
     if SOLVER in args.generator or args.sets:
         refuse_solver(args)
         return family_command.solver(args)
@@ -143,6 +162,16 @@ def refuse(args, names: tuple[str, ...]) -> None:
     if args.model != "fish" or args.baselines:
         option = "--baselines" if args.baselines else "--model"
         raise ConfigError(f"gap bench: {option} is for --generator second; families ({', '.join(names)}) draw their models")
+
+
+def refuse_articulated(args, names: tuple[str, ...]) -> None:
+    """Raises ConfigError for an option or a generator that does not go with articulated robots."""
+    known = (robot_bench.ALL, *names)
+    asked = {f"--generator {name}": True for name in args.generator if name not in known}
+    asked |= {"--model": args.model != "fish", "--logs": args.logs, "--weighed": args.weighed, "--baselines": args.baselines}
+    asked |= {"--power": args.power, "--effects": args.effects, "--uncalibrated": args.uncalibrated}
+    if given := [option for option, value in asked.items() if value]:
+        raise ConfigError(f"gap bench: {given[0]} does not go with --generator {','.join(names)}: robots in MJCF are drawn")
 
 
 def refuse_solver(args) -> None:
@@ -217,29 +246,6 @@ def cases_and_query(args) -> tuple[list, Callable]:
 def case_row(plant: Callable, weighed: bool, one: solver.SolverCase) -> dict:
     """Row of a case. plant: gives the questioned model, when it is needed."""
     return run(plant(), one.case, frozen(), one.null, one.trials, weighed)
-
-
-def judge_cases(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
-    """Rows of all cases; those in `out` are read from there. what: name of the work, for the bar."""
-    rows = {}
-    if out:
-        out.mkdir(parents=True, exist_ok=True)
-        rows = {r["id"]: r for r in read_rows(out / "rows.jsonl")}
-    with interrupt.keeping(lambda: words(out, len(rows), len(todo))), progress.terminal_bar(len(todo), what, "cases") as bar:
-        waiting = [one for one in todo if one.id not in rows]
-        for i, row in enumerate(map(console.plain, ask_all(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
-            rows[row["id"]] = row
-            if out:
-                keep(out / "rows.jsonl", row)
-            bar.update(i)
-    return [rows[one.id] for one in todo]
-
-
-def words(out: Path | None, done: int, of: int) -> str:
-    """Message of an interrupted benchmark."""
-    if out is None:
-        return "nothing was kept: with --out DIR every finished case is"
-    return f"{out} holds {done} of {of} cases; {interrupt.again()}"
 
 
 def report_lines(result: dict) -> list[str]:

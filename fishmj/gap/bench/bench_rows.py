@@ -1,7 +1,12 @@
 """Rows of a benchmark on disk, one JSON object a line: finished work is never repeated."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+
+from fishmj.base import console, interrupt
+from fishmj.gap import progress
+from fishmj.gap.bench.workers import ask_all
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -24,3 +29,26 @@ def keep(path: Path, row: dict) -> None:
         file.seek(max(size - 1, 0))
         whole = file.read() in (b"", b"\n")
         file.write((b"" if whole else b"\n") + json.dumps(row).encode() + b"\n")
+
+
+def judge_cases(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
+    """Rows of all cases; those in `out` are read from there. what: name of the work, for the bar."""
+    rows = {}
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        rows = {r["id"]: r for r in read_rows(out / "rows.jsonl")}
+    with interrupt.keeping(lambda: words(out, len(rows), len(todo))), progress.terminal_bar(len(todo), what, "cases") as bar:
+        waiting = [one for one in todo if one.id not in rows]
+        for i, row in enumerate(map(console.plain, ask_all(waiting, ask, jobs)), len(todo) - len(waiting) + 1):
+            rows[row["id"]] = row
+            if out:
+                keep(out / "rows.jsonl", row)
+            bar.update(i)
+    return [rows[one.id] for one in todo]
+
+
+def words(out: Path | None, done: int, of: int) -> str:
+    """Message of an interrupted benchmark."""
+    if out is None:
+        return "nothing was kept: with --out DIR every finished case is"
+    return f"{out} holds {done} of {of} cases; {interrupt.again()}"

@@ -116,7 +116,7 @@ def together(folders: list[Path], args) -> int:
         if not mine:
             raise ConfigError(f"gap bench: --score {folder}: no rows.jsonl with rows in it; name folders of --out")
         for row in mine:
-            if "family" not in row:
+            if "family" not in row or "generator" in row:
                 raise ConfigError(
                     f"gap bench: --score {folder}: row {row.get('id')} is of another benchmark; expected --generator families"
                 )

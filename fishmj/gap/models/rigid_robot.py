@@ -154,13 +154,20 @@ class RigidRobot(ParameterRow):
 
             return multiply
 
+        def gain(actuator: int):
+            def multiply(model, factor: float) -> None:
+                model.actuator_gainprm[actuator, 0] *= factor
+                model.actuator_biasprm[actuator, 1:3] *= factor  # of a position servo: k_p and k_v alike, not its target
+
+            return multiply
+
         for name, b in self.robot.bodies.items():
             found.append((Constant(f"mass{AT}{name}", tolerance["mass"]), mass(b)))
             found.append((Constant(f"inertia{AT}{name}", tolerance["inertia"]), scaled("body_inertia", b)))
             found.append((Constant(f"centre{AT}{name}", tolerance["centre"]), scaled("body_ipos", b)))
         for j in self.robot.joints:
             if j.actuator >= 0:
-                found.append((Constant(f"gain{AT}{j.name}", tolerance["gain"]), scaled("actuator_gainprm", (j.actuator, 0))))
+                found.append((Constant(f"gain{AT}{j.name}", tolerance["gain"]), gain(j.actuator)))
             for field in ("dof_frictionloss", "dof_damping"):
                 if getattr(m, field)[j.dof] > 0:
                     found.append((Constant(f"{field[4:]}{AT}{j.name}", tolerance["friction"]), scaled(field, j.dof)))
@@ -372,7 +379,7 @@ class RigidRobot(ParameterRow):
                     sent, asked = placed.form.command(p, sent, asked)
             edges = np.append(sent, sent[-1] + AFTERWARDS)
             whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
-            own = t - self.robot.delays[a]
+            own = t - self.robot.delays[a] - self._early  # the force at t_k moves the rate from half a step before to half after
             summed = np.interp(own, edges, whole) + np.minimum(own - edges[0], 0.0) * asked[0]
             out[..., a] = np.diff(summed, axis=1) / self.dt
         return out

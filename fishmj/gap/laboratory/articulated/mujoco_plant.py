@@ -1,0 +1,89 @@
+"""A robot in MuJoCo with edited attributes, and one driven by the servo laws of BAM.
+
+plant = MujocoPlant(plan, hidden)        h = 1 ms, implicit integrator: another step and integrator than the model in question
+plant.start(q, v); plant.step(u, push)   one step under delivered commands u (J,) and torques of no cause (J,)
+"""
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from fishmj.gap.laboratory.articulated.bam_servo import LAWS, friction_budget
+from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, placed
+from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, JointMotors
+from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
+
+
+class MujocoPlant:
+    """MuJoCo's own actuators, friction, armature, damping and medium; laws beyond them as applied torques."""
+
+    h = 0.001
+
+    def __init__(self, plan: RobotPlan, hidden: Hidden):
+        self.plan, self.hidden = plan, hidden
+        self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit"))
+        self.d = mujoco.MjData(self.m)
+        self.dry = self.m.dof_frictionloss.copy()
+        self.motors = JointMotors(plan)
+        self.laws = JointLaws(plan, hidden)
+
+    def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
+        """Sets angles, rates and time."""
+        mujoco.mj_resetData(self.m, self.d)
+        self.d.qpos[:], self.d.qvel[:], self.d.time = q, v, t
+        self.laws = JointLaws(self.plan, self.hidden)
+
+    @property
+    def q(self) -> np.ndarray:
+        """(J,) angles."""
+        return self.d.qpos
+
+    @property
+    def v(self) -> np.ndarray:
+        """(J,) rates."""
+        return self.d.qvel
+
+    def step(self, u: np.ndarray, push: np.ndarray) -> None:
+        """One step."""
+        m, d = self.m, self.d
+        d.ctrl[:] = u
+        d.qfrc_applied[:] = push
+        if self.laws.laws:
+            motor = self.motors.torque(u, d.qpos, d.qvel)
+            d.qfrc_applied[:] += self.laws.torques(d.qpos, d.qvel, motor, d.time, self.h)
+            m.dof_frictionloss[:] = self.dry + self.laws.friction(d.qvel, motor)
+        mujoco.mj_step(m, d)
+
+
+class BamPlant(MujocoPlant):
+    """Servos by BAM: a proportional controller of the voltage, back EMF, and a friction budget that depends on load and speed.
+
+    As in `bam.mujoco.MujocoController`, each step writes the budget into the joint's frictionloss and damping.
+
+    servos: law of each joint, by its number: constants as of `bam_servo`.
+    """
+
+    h = 0.0005
+
+    def __init__(self, plan: RobotPlan, hidden: Hidden, servos: Mapping[int, Mapping[str, float]]):
+        self.plan, self.servos = plan, servos
+        self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicitfast", motors=True))
+        self.d = mujoco.MjData(self.m)
+        self.hidden = {name: values for name, values in hidden.items() if placed(name)[0] not in LAWS}
+        self.laws = JointLaws(plan, self.hidden)
+        self.kp, self.kv = plan.column("kp"), plan.column("kv")
+        self.limit, self.offset = plan.column("limit"), plan.column("offset")
+        self.dry, self.viscous = plan.column("friction"), plan.column("damping")
+
+    def step(self, u: np.ndarray, push: np.ndarray) -> None:
+        """One step."""
+        m, d = self.m, self.d
+        driven = np.clip(self.kp * (u - d.qpos), -self.limit, self.limit)  # by the voltage that the supply has
+        motor = driven - self.kv * d.qvel + self.offset
+        d.ctrl[:] = motor
+        d.qfrc_applied[:] = push + self.laws.torques(d.qpos, d.qvel, motor, d.time, self.h)
+        external = -d.qfrc_bias + push
+        budget = friction_budget(self.servos, d.qvel, motor, external) + self.laws.friction(d.qvel, motor)
+        m.dof_frictionloss[:] = self.dry + budget
+        mujoco.mj_step(m, d)

@@ -1,0 +1,183 @@
+"""Sessions of the three generators: the described robot, what is hidden in it with drawn sizes, and its logs.
+
+    told = draw_session("pinocchio", "arm", ("coulomb_friction",), seed=7, logs=4, seconds=4.5)
+    told.plan, told.hidden, told.logs, told.visible
+
+A seed gives the same session on every machine. An effect that does not show is drawn anew, at another site and 1.8 times as
+large, a few times. A robot whose description does not fit an effect is drawn anew, too.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.gap.laboratory.articulated import hidden_faults
+from fishmj.gap.laboratory.articulated.bam_servo import LAWS, BamServo, servos
+from fishmj.gap.laboratory.articulated.hidden_faults import FAULTS, OUTSIDE, Hidden, UsualMotion, draw_hidden, placed
+from fishmj.gap.laboratory.articulated.mujoco_plant import BamPlant, MujocoPlant
+from fishmj.gap.laboratory.articulated.pinocchio_plant import PinocchioPlant
+from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, draw_plan, joint
+from fishmj.gap.laboratory.articulated.robot_stand import LogRun, Stand, draw_stand, session, usual_motion, visibility
+
+MUJOCO, PINOCCHIO, BAM = "mujoco", "pinocchio", "bam"
+NAMES = (MUJOCO, PINOCCHIO, BAM)
+SEEN = 5.0  # mean square from which an effect shows
+DRAWS, GROWTH = 6, 1.8  # of a size and a site, each time larger, until it shows
+CALM = 0.055  # s, swing over the speed without load, so that a healthy servo has voltage to spare
+PLANS = 60  # drawn robots, until one fits
+SMALL = ("pendulum", "two_link")  # that a hobby servo moves
+OF_SERVOS = (
+    *("coulomb_friction", "viscous_friction", "rotor_inertia", "stribeck", "load_friction", "torque_offset", "servo_gain"),
+    *("payload", "com_offset", "command_latency", "command_hold", "joint_zero_offset", "command_quantisation", "packet_loss"),
+)
+OUTSIDE_OF_SERVOS = ("directional_friction", "cable_torque", "vibration")
+
+
+class RobotSession(NamedTuple):
+    """A described robot with logs of the true one. visible: mean square of each hidden effect alone, by its name."""
+
+    plan: RobotPlan
+    hidden: dict[str, dict[str, float]]
+    stand: Stand
+    logs: list[LogRun]
+    visible: dict[str, float]
+    servo: str  # of BAM, with its law; "" for the others
+
+
+def able(generator: str, outside: bool = False) -> tuple[str, ...]:
+    """Effects, or faults outside every catalogue, that a generator can hide."""
+    if generator == BAM:
+        return OUTSIDE_OF_SERVOS if outside else OF_SERVOS
+    known = tuple(name for name in FAULTS if name not in OUTSIDE)
+    if generator == PINOCCHIO:
+        known = tuple(name for name in known if name not in hidden_faults.ONLY_MUJOCO)
+    return OUTSIDE if outside else known
+
+
+def draw_session(generator: str, family: str, names: Sequence[str], seed: int, logs: int, seconds: float) -> RobotSession:
+    """A session with the effects `names` hidden in it.
+
+    Raises:
+        FloatingPointError: every drawn robot ran away, or none fits.
+    """
+    for attempt in range(PLANS):
+        rng = np.random.default_rng([seed, 41, attempt])
+        if generator == BAM:
+            made = _servo_robot(family, names, rng)
+        else:
+            plan = draw_plan(family, rng)
+            made = (plan, "", {}, {}) if all(hidden_faults.fits(name, plan) for name in names) else None
+        if made is None:
+            continue
+        try:
+            return _drawn(generator, made, names, seed + attempt, rng, logs, seconds)
+        except FloatingPointError:
+            continue
+    raise FloatingPointError(f"none of {PLANS} robots of {family} takes {', '.join(names)}")
+
+
+def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, logs: int, seconds: float) -> RobotSession:
+    plan, servo, law, own = made
+    stand = draw_stand(rng, logs, seconds)
+    usual = usual_motion(plan, seed, stand)
+    hidden: dict[str, dict[str, float]] = {}
+    visible: dict[str, float] = {}
+    for name in names:
+        fixed = {key: values for key, values in own.items() if placed(key)[0] == name}  # a servo's own constants
+        for attempt in range(1 if fixed else DRAWS):
+            one = fixed or draw_hidden(name, rng, plan, usual, GROWTH**attempt)
+            seen = visibility_of(generator, plan, one, law, stand, usual, seed)
+            if seen > SEEN:
+                break
+        hidden |= one
+        visible |= dict.fromkeys(one, seen)
+    build = builder(generator, law, hidden)
+    return RobotSession(plan, hidden, stand, session(build, plan, hidden, stand, usual, seed), visible, servo)
+
+
+def visibility_of(generator: str, plan: RobotPlan, one: Hidden, law: dict, stand: Stand, usual: UsualMotion, seed: int) -> float:
+    """Mean square of one effect alone, by two logs."""
+    build = builder(generator, law, one)
+    few = stand._replace(logs=min(2, stand.logs))
+    return visibility(build, plan, one, few, usual, seed, session(build, plan, one, few, usual, seed))
+
+
+def builder(generator: str, law: dict[str, dict[str, float]], hidden: Hidden) -> Any:
+    """Function (plan, hidden) -> plant. law: a servo's own constants, by the effect that they are."""
+    if generator == MUJOCO:
+        return MujocoPlant
+    if generator == PINOCCHIO:
+        return PinocchioPlant
+
+    def plant(plan: RobotPlan, present: Hidden) -> BamPlant:
+        return BamPlant(plan, present, {k: law[effect] for effect, k in map(placed, present) if effect in law})
+
+    return plant
+
+
+# ------------------------------------------------------------------------------------------------------------------------- servos
+def _servo_robot(family: str, names: Sequence[str], rng) -> tuple | None:
+    """(robot with servos, their name and law, constants of the hidden law by effect, hidden effects that are the servo's own)."""
+    plan = draw_plan(family if family in SMALL else SMALL[int(rng.integers(2))], rng)
+    if any(FAULTS[name].coupled for name in names if name in FAULTS) and len(plan.limbs) < 2:
+        return None
+    servo = str(rng.choice(list(servos())))
+    number = {"stribeck": "M2", "load_friction": "M3"}.get(next((n for n in names if n in LAWS), ""), "M1")
+    if "directional_friction" in names:
+        number = str(rng.choice(("M5", "M6")))
+    kind = servos()[servo]
+    constants = kind.laws[number]
+    plan = carrying(plan, kind, constants, rng)
+    at = int(rng.integers(len(plan.limbs)))
+    law, own = {}, {}
+    for name in names:
+        if name in LAWS:
+            law[name] = {k: v for k, v in constants.items() if k not in ("k_t", "r", "armature", "base", "viscous")}
+            own[f"{name}@{joint(at)}"] = _as_parameters(name, constants)
+        field, key, value = {
+            "coulomb_friction": ("friction", "torque", constants["base"]),
+            "viscous_friction": ("damping", "damping", constants["viscous"]),
+            "rotor_inertia": ("armature", "inertia", constants["armature"]),
+        }.get(name, ("", "", 0.0))
+        if field:  # the description does not have it
+            plan = plan.changed(at, **{field: 0.0})
+            own[f"{name}@{joint(at)}"] = {key: value}
+    return plan, f"{servo} {number}", law, own
+
+
+def _as_parameters(name: str, constants: Mapping[str, float]) -> dict[str, float]:
+    """Values of a servo's law under the names of the catalogue."""
+    if name == "stribeck":
+        return {"torque": constants["stribeck"], "speed": constants["speed"]}
+    return {"ratio": constants["load"]} if name == "load_friction" else dict(constants)
+
+
+def carrying(plan: RobotPlan, kind: BamServo, constants: Mapping[str, float], rng) -> RobotPlan:
+    """The robot with a servo at each joint, its links made as heavy as the servos can move."""
+    stall = kind.volts * kind.duty * constants["k_t"] / constants["r"]
+    size = 1.0 if stall > 2.0 else 0.35  # of its links, over those of an arm
+    reach_of = CALM * kind.volts * kind.duty / constants["k_t"]
+    limbs = []
+    for k, b in enumerate(plan.limbs):
+        centre = tuple(size * x for x in b.centre)
+        reach = float(np.linalg.norm(centre)) * (1.0 if len(plan.limbs) == 1 else 2.5 - 1.5 * k)
+        mass = float(rng.uniform(0.08, 0.25)) * stall / (GRAVITY * reach) / (1.0 if len(plan.limbs) == 1 else 1.5 + k)
+        inertia = tuple(x * size**2 * mass / b.mass for x in b.inertia)
+        limbs.append(
+            b._replace(
+                place=tuple(size * x for x in b.place),
+                centre=centre,
+                mass=mass,
+                inertia=inertia,
+                armature=constants["armature"],
+                friction=constants["base"],
+                damping=constants["viscous"],
+                kp=kind.stiffness * kind.volts * constants["k_t"] / constants["r"],
+                kv=constants["k_t"] ** 2 / constants["r"],
+                limit=stall,
+                swing=(b.swing[0], min(b.swing[1], reach_of)),
+                gear=1.0,
+            )
+        )
+    return plan._replace(limbs=tuple(limbs), torques=False)

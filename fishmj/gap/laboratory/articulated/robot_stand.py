@@ -1,0 +1,305 @@
+"""A session with an articulated robot: reference motions, the host's controller, commands on their way, encoders, and logs.
+
+    reference   sums of sines about each joint's middle; with a torque motor the host closes the loop on the encoders
+    commands    late, held, lost or rounded on their way; between two of them the last one holds
+    encoders    scale, zero, noise, counts, late; one stamp for commands and readings, as a host writes its log
+    torques     of no cause: as large as data/calib/robot.toml grants a healthy robot, every 60 ms anew
+
+What is hidden shows in `visibility`: healthy robots start each 0.3 s from the logged state under the logged commands, and the
+mean square of the difference is taken over noise and the scatter of healthy robots, of the joint where that is largest.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion, placed, with_hidden
+from fishmj.gap.laboratory.articulated.robot_plan import ANGLE, RobotPlan, carried_inertia, mjcf, tolerances, within_tolerance
+
+SEGMENT = 0.3  # s
+HEALTHY = 3  # robots that tell the scatter
+SLOW = 0.02  # share by which the clock of a log may be off
+FAR = 25.0  # rad: a joint that turns further has run away
+TONES = (0.25, 1.6)  # Hz
+LOOP = 9.0  # rad/s, of the host's position loop
+
+
+class Stand(NamedTuple):
+    """A host and its sensors. tick: s. counts: of an encoder, a turn. noise: rad."""
+
+    tick: float
+    counts: float
+    noise: float
+    seconds: float
+    logs: int
+
+
+class LogRun(NamedTuple):
+    """One log: stamps (K,) s, commands (K, J) and readings (K, J) rad; the same readings without noise, and true states."""
+
+    t: np.ndarray
+    commands: np.ndarray
+    readings: np.ndarray
+    clean: np.ndarray
+    states: np.ndarray  # (K, 2, J) angle and rate that the clean readings stand for
+
+
+Plant = Callable[[RobotPlan, Hidden], Any]
+
+
+def draw_stand(rng: np.random.Generator, logs: int, seconds: float) -> Stand:
+    """A host at 100 to 250 Hz with encoders of 4096 to 65536 counts."""
+    tick = float(rng.choice((0.004, 0.005, 0.01)))
+    return Stand(tick, float(rng.choice((4096, 16384, 65536))), float(rng.uniform(5e-5, 3e-4)), seconds, logs)
+
+
+class SwingReference:
+    """Reference angles and rates of one log: sums of sines that begin at rest in the middle. `at(t)` -> (J,), (J,), (J,)."""
+
+    def __init__(self, plan: RobotPlan, rng: np.random.Generator, reach: float = 1.0):
+        n = len(plan.limbs)
+        swing = plan.column("swing")
+        self.middle = swing[:, 0]
+        self.pulse = 2.0 * np.pi * rng.uniform(*TONES, (n, 4))
+        share = rng.dirichlet(np.ones(4), n)
+        self.size = 1.5 * reach * swing[:, 1:] * share * np.minimum(1.0, 2.0 * np.pi * 0.9 / self.pulse)
+        self.phase = rng.uniform(0.0, 2.0 * np.pi, (n, 4))
+
+    def at(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Angles, rates and accelerations."""
+        arc = self.pulse * t + self.phase
+        wave, slope, bend = np.sin(arc), np.cos(arc) * self.pulse, -np.sin(arc) * self.pulse**2
+        ramp = min(t / 0.5, 1.0)  # the start is at rest
+        told = [np.sum(self.size * part, 1) for part in (wave, slope, bend)]
+        return self.middle + ramp * told[0], ramp * told[1] + (told[0] / 0.5 if ramp < 1.0 else 0.0), ramp * told[2]
+
+
+def references(plan: RobotPlan, seed: int, logs: int) -> list[SwingReference]:
+    """Reference of each log of a session."""
+    return [
+        SwingReference(plan, np.random.default_rng([seed, 31, i]), reach)
+        for i, reach in zip(range(logs), _reaches(logs), strict=True)
+    ]
+
+
+def _reaches(logs: int) -> np.ndarray:
+    return np.linspace(0.6, 1.1, logs)
+
+
+def usual_motion(plan: RobotPlan, seed: int, stand: Stand) -> UsualMotion:
+    """Torques (inverse dynamics of the described robot), rates and commands of a session's references; 90 % are smaller."""
+    m = mujoco.MjModel.from_xml_string(mjcf(plan))
+    d = mujoco.MjData(m)
+    torque, rate, command = [], [], []
+    for reference in references(plan, seed, stand.logs):
+        for t in np.arange(0.5, stand.seconds, 0.02):
+            d.qpos[:], d.qvel[:], d.qacc[:] = reference.at(t)
+            mujoco.mj_inverse(m, d)
+            torque.append(np.abs(d.qfrc_inverse))
+            rate.append(np.abs(d.qvel))
+            command.append(np.abs(d.qfrc_inverse if plan.torques else d.qpos - reference.middle))
+    return UsualMotion(*(np.percentile(np.array(part), 90, axis=0) for part in (torque, rate, command)))
+
+
+class Host:
+    """The controller of a log: references to position servos; computed torque plus feedback to torque motors."""
+
+    def __init__(self, plan: RobotPlan, reference: SwingReference, tick: float):
+        self.plan, self.reference, self.tick = plan, reference, tick
+        self.m = mujoco.MjModel.from_xml_string(mjcf(plan))
+        self.d = mujoco.MjData(self.m)
+        carried = carried_inertia(plan)
+        self.stiff, self.damp = carried * LOOP**2, 1.4 * carried * LOOP
+        self.before: np.ndarray | None = None
+        self.rate = np.zeros(len(plan.limbs))
+
+    def command(self, t: float, read: np.ndarray) -> np.ndarray:
+        """(J,) command at a tick, from its reading."""
+        angle, rate, _ = self.reference.at(t)
+        if not self.plan.torques:
+            return np.clip(angle, -ANGLE, ANGLE)
+        if self.before is not None:
+            self.rate += 0.3 * ((read - self.before) / self.tick - self.rate)
+        self.before = read
+        self.d.qpos[:], self.d.qvel[:], self.d.qacc[:] = read, 0.0, 0.0
+        mujoco.mj_inverse(self.m, self.d)  # gravity, at the reading
+        asked = self.d.qfrc_inverse + self.stiff * (angle - read) + self.damp * (rate - self.rate)
+        return np.clip(asked, -self.plan.column("limit"), self.plan.column("limit"))
+
+
+class StandTiming(NamedTuple):
+    """Changes of commands and readings by the hidden effects; s, 1, rad."""
+
+    late: float
+    seen_late: float
+    period: float
+    jitter: float
+    loss: float
+    rate: float
+    step: np.ndarray
+    zero: np.ndarray
+    scale: np.ndarray
+
+
+def timing_of(hidden: Hidden, joints: int) -> StandTiming:
+    """Timing of a robot."""
+    step, zero, scale = np.zeros(joints), np.zeros(joints), np.ones(joints)
+    whole = {"command_latency": 0.0, "joint_sensor_delay": 0.0, "command_hold": 0.0, "latency_jitter": 0.0, "packet_loss": 0.0}
+    rate = 1.0
+    for name, values in hidden.items():
+        effect, k = placed(name)
+        if effect in whole:
+            whole[effect] = next(iter(values.values()))
+        elif effect == "clock_drift":
+            rate = float(values["rate"])
+        elif effect == "command_quantisation":
+            step[k] = values["step"]
+        elif effect == "joint_zero_offset":
+            zero[k] = values["offset"]
+        elif effect == "joint_scale":
+            scale[k] = 1.0 + values["scale"]
+    late, seen_late, period, jitter, loss = whole.values()
+    return StandTiming(late, seen_late, period, jitter, loss, rate, step, zero, scale)
+
+
+class Channel:
+    """Commands on their way to the motors."""
+
+    def __init__(self, timing: StandTiming, rng: np.random.Generator):
+        self.timing, self.rng = timing, rng
+        self.arrivals: list[float] = []
+        self.commands: list[np.ndarray] = []
+
+    def send(self, t: float, u: np.ndarray) -> None:
+        """A command leaves the host."""
+        late = self.timing.late + self.timing.jitter * abs(self.rng.standard_normal())
+        lost = self.rng.random() < self.timing.loss and self.commands
+        step = self.timing.step
+        rounded = np.where(step > 0, step * np.round(u / np.where(step > 0, step, 1.0)), u)
+        self.arrivals.append(np.inf if lost else t + late)
+        self.commands.append(rounded)
+
+    def delivered(self, t: float) -> np.ndarray:
+        """(J,) the command that acts at t: the newest that has arrived, the first one before that."""
+        if self.timing.period:
+            t = self.timing.period * np.floor(t / self.timing.period + 1e-9)
+        for arrival, u in zip(reversed(self.arrivals[-64:]), reversed(self.commands[-64:]), strict=True):
+            if arrival <= t + 1e-9:
+                return u
+        return self.commands[0]
+
+
+def run(
+    plant: Any,
+    plan: RobotPlan,
+    described: RobotPlan,
+    reference: SwingReference,
+    stand: Stand,
+    hidden: Hidden,
+    push: np.ndarray,
+    rng,
+) -> LogRun:
+    """One log. plan: the true robot. described: the one in question. push: torques (n, J) of no cause, every spacing.
+
+    Raises:
+        FloatingPointError: the robot left the finite numbers, or ran away.
+    """
+    joints, h = len(plan.limbs), plant.h
+    timing, every = timing_of(hidden, joints), round(stand.tick / h)
+    kept = round(stand.seconds / stand.tick)
+    ticks = kept + int(SLOW * kept) + 2  # a slow clock's log ends later
+    host, channel = Host(described, reference, stand.tick), Channel(timing, rng)
+    plant.start(reference.at(0.0)[0], np.zeros(joints))
+    spacing = tolerances()["spacing"]
+    knots = spacing * np.arange(len(push))
+    states = np.zeros((ticks * every + 1, 2, joints))
+    grid = h * np.arange(len(states))
+    causeless = np.stack([np.interp(grid, knots, column) for column in push.T], 1)
+    states[0] = plant.q, plant.v
+    noise = stand.noise * rng.standard_normal((ticks, joints))
+    shift = timing.zero if not plan.torques else 0.0  # a servo closes its loop on its encoder
+    sent = []
+    for k in range(ticks):
+        t = k * stand.tick
+        place = max(0, k * every - round(timing.seen_late / h))
+        read = _counted(timing.scale * states[place, 0] - timing.zero + noise[k], stand)
+        u = host.command(t, read)
+        sent.append(u)
+        channel.send(t, u)
+        for s in range(every):
+            n = k * every + s
+            plant.step(channel.delivered(n * h) + shift, causeless[n])
+            states[n + 1] = plant.q, plant.v
+        if not np.all(np.abs(plant.q) < FAR):
+            raise FloatingPointError("the robot ran away")
+    stamps = stand.tick * np.arange(kept)
+    when = np.maximum(stamps / timing.rate - timing.seen_late, 0.0)
+    angles, rates = (np.stack([np.interp(when, grid, states[:, part, j]) for j in range(joints)], 1) for part in (0, 1))
+    clean = timing.scale * angles - timing.zero
+    told = np.stack([clean, timing.scale * rates], 1)
+    return LogRun(stamps, np.array(sent[:kept]), _counted(clean + noise[:kept], stand), clean, told)
+
+
+def _counted(angles: np.ndarray, stand: Stand) -> np.ndarray:
+    """Angles as an encoder counts them."""
+    count = 2.0 * np.pi / stand.counts
+    return count * np.round(angles / count)
+
+
+def pushes(usual: UsualMotion, stand: Stand, rng: np.random.Generator) -> np.ndarray:
+    """(n, J) torques that a healthy robot may have, every spacing."""
+    sigma = tolerances()
+    n = int(1.1 * stand.seconds / sigma["spacing"]) + 2
+    return sigma["torque"] * usual.torque * rng.standard_normal((n, len(usual.torque)))
+
+
+def replay(plant: Any, log: LogRun, stand: Stand, push: np.ndarray) -> np.ndarray:
+    """(K, J) angles under the logged commands, each segment from the logged state."""
+    every, h = round(stand.tick / plant.h), plant.h
+    length = round(SEGMENT / stand.tick)
+    knots = tolerances()["spacing"] * np.arange(len(push))
+    grid = h * np.arange(len(log.t) * every)
+    torque = np.stack([np.interp(grid, knots, column) for column in push.T], 1)
+    out = np.empty_like(log.clean)
+    for k in range(len(log.t)):
+        if k % length == 0:
+            plant.start(log.states[k, 0], log.states[k, 1], log.t[k])
+        out[k] = plant.q
+        for s in range(every):
+            plant.step(log.commands[k], torque[k * every + s])
+    return out
+
+
+def session(build: Plant, described: RobotPlan, hidden: Hidden, stand: Stand, usual: UsualMotion, seed: int) -> list[LogRun]:
+    """Logs of a robot drawn within the tolerances of `described`, with `hidden` in it. Raises FloatingPointError."""
+    true = with_hidden(within_tolerance(described, np.random.default_rng([seed, 32])), hidden)
+    plant = build(true, hidden)
+    out = []
+    for i, reference in enumerate(references(described, seed, stand.logs)):
+        rng = np.random.default_rng([seed, 33, i])
+        out.append(run(plant, true, described, reference, stand, hidden, pushes(usual, stand, rng), rng))
+    return out
+
+
+def visibility(
+    build: Plant, described: RobotPlan, hidden: Hidden, stand: Stand, usual: UsualMotion, seed: int, logs: list[LogRun]
+) -> float:
+    """Mean square of what is hidden over noise and the scatter of healthy robots, of the joint where it is largest."""
+    if not hidden:
+        return 0.0
+    same = within_tolerance(described, np.random.default_rng([seed, 32]))
+    squares, scatter, count = 0.0, 0.0, 0
+    for i, log in enumerate(logs[:2]):
+        first = pushes(usual, stand, np.random.default_rng([seed, 33, i]))
+        healthy = replay(build(same, {}), log, stand, first)
+        others = []
+        for n in range(HEALTHY):
+            rng = np.random.default_rng([seed, 34, n, i])
+            others.append(replay(build(within_tolerance(described, rng), {}), log, stand, pushes(usual, stand, rng)))
+        squares = squares + np.sum((log.clean - healthy) ** 2, 0)
+        scatter = scatter + np.sum(np.var(np.stack([healthy, *others]), 0, ddof=1), 0)
+        count += len(log.t)
+    noise = stand.noise**2 + (2.0 * np.pi / stand.counts) ** 2 / 12.0
+    return float(np.max(squares / count / (scatter / count + noise)))
