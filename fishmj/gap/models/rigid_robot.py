@@ -32,6 +32,7 @@ from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records, thi
 from fishmj.log import Trial
 
 AT = "@"  # between an effect's name and its site's
+FINE = 0.125  # of the description's step: its own errs by some mrad in 0.3 s, ten times an encoder's noise
 AT_ONCE = 4096  # rollouts of a batch, for memory's sake
 REST = 2.0  # usual torques that an actuator gives at rest if its description states no limit
 LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
@@ -69,8 +70,8 @@ class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
-    without: names of effects at their sites that are left out. stride: steps of the description in a step here; what the longer
-    step changes in the description's own prediction is added to every other (`coarsest`).
+    without: names of effects at their sites that are left out. stride: steps of the description in a step here. What the step changes
+    in the description's own prediction, against one `FINE` times as long, is added to every other (`coarsest`).
 
     screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
     each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
@@ -85,13 +86,13 @@ class RigidRobot(ParameterRow):
         sizes: RobotSizes,
         catalogue: Sequence[Effect] | None = None,
         without: frozenset[str] = frozenset(),
-        stride: int = 1,
+        stride: float = 1,
     ):
         self.robot, self.sizes = robot, sizes
         self.dt = stride * robot.dt
         self._plain = copy.copy(robot.model)
         self._plain.opt.timestep = self.dt
-        self._exact = RigidRobot(robot, sizes, ()) if stride > 1 else None
+        self._exact = RigidRobot(robot, sizes, (), stride=FINE) if stride >= 1 else None
         self._defects: dict[tuple, np.ndarray] = {}
         self.joints = len(robot.joints)
         self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
@@ -290,7 +291,7 @@ class RigidRobot(ParameterRow):
         return [{"joint": one + self._defect(record)} for record, one in zip(records, seen, strict=True)]
 
     def _defect(self, record: RobotRecord) -> np.ndarray | float:
-        """(K, J) readings of the description at its own step, less those at the step of the search."""
+        """(K, J) readings of the description at a fine step, less those at the step of the search."""
         if self._exact is None:
             return 0.0
         key = (record.name, len(record.starts), record.starts[0])
