@@ -71,7 +71,7 @@ class RobotForm(NamedTuple):
         command(p, t, c) -> (t, c)          commands (T,) of one actuator and their stamps (T,)
         law(joint, memory, *parameters) -> (torque, friction)     what no field of MuJoCo holds, at each step: a torque on the
                                             joint, and a limit of dry friction on top of the model's. joint: sites.JointMotion;
-                                            memory: three numbers, zero at the start. Scalars, and the names of LAW_MATH only: its
+                                            memory: four numbers, zero at the start. Scalars, and the names of LAW_MATH only: its
                                             text is compiled for the search, and copied into the patch
 
     confusions: with other effects of such a robot.

@@ -21,25 +21,30 @@ def gear(xp, p, g, memory, h):
 def law(joint, memory, half_gap, rotor):
     """A rotor, of its inertia on the link's side, flies through the gap x and gives its momentum to the link where it lands.
 
-    The joint's damping and armature are the rotor's. It lies on the side to which it pushes at the start. memory: x, the rotor's
-    rate, the link's rate a step ago.
+    The joint's damping and armature are the rotor's. It lies on the side to which it pushes at the start. Where it lands within a
+    step, the momentum's later part goes into the next one. memory: x, the rotor's rate, the link's a step ago, that part [N m].
     """
     if joint.time == 0.0:
         memory[0] = copysign(half_gap, joint.drive - joint.damping * joint.rate)
         memory[1] = memory[2] = joint.rate
     gained, memory[2] = joint.rate - memory[2], joint.rate
+    late, memory[3] = memory[3], 0.0
     floats = abs(memory[0]) < half_gap
     slows = 1.0 + joint.step * joint.damping / rotor
     ahead = (memory[1] + joint.step * joint.drive / rotor) / slows
     way = memory[0] + joint.step * (ahead - joint.rate)
-    alone = joint.damping * joint.rate - joint.drive
+    alone = joint.damping * joint.rate - joint.drive + min(rotor, joint.armature) * gained / joint.step
     if abs(way) < half_gap:
         memory[0], memory[1] = way, ahead
-        return alone + min(rotor, joint.armature) * gained / joint.step, 0.0
-    memory[0], memory[1] = copysign(half_gap, way), ahead if floats else joint.rate
-    if floats:
-        return alone + rotor * (ahead - joint.rate) / joint.step, 0.0
-    return 0.0, 0.0
+        return alone + late, 0.0
+    edge = copysign(half_gap, way)
+    if not floats:
+        memory[0], memory[1] = edge, joint.rate
+        return late, 0.0
+    share = (edge - memory[0]) / (way - memory[0])
+    blow = rotor * (memory[1] + share * (ahead - memory[1]) - joint.rate) / joint.step
+    memory[0], memory[1], memory[3] = edge, ahead, share * blow
+    return share * alone + (1.0 - share) * blow + late, 0.0
 
 
 EFFECT = Effect(

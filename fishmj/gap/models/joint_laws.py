@@ -28,7 +28,7 @@ from fishmj.effects.effect import LAW_MATH
 from fishmj.engines import numba_build
 
 LEAST_FRICTION = 1e-6  # N m: without any, MuJoCo makes no constraint whose limit could be changed
-MEMORY = 3  # numbers of each law at each joint
+MEMORY = 4  # numbers of each law at each joint
 FIXED = (
     *("joints", "active", "dof", "place", "actuator", "row", "gain0", "gain1", "gain2", "bias0", "bias1", "bias2", "gear"),
     *(

@@ -1,6 +1,7 @@
 """Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
 
-    best single effect -> all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted ..
+    all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again ..
+    the best single effect -> the same; the likelier of both
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
@@ -27,6 +28,7 @@ from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 
+
 class UnexplainedTorque(NamedTuple):
     """(J,) N m: deviations with the model as it is, and with all effects fitted."""
 
@@ -45,18 +47,19 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
     e = Likelihood(wide, records, runs)
     before = torques(e, row)
     few = informative_records(e.subset().base(), e.layout, model.screened_records)
-    row = _with_best(e.subset(few), row, model.active.effects)
-    with bars(limits.fits, "torques that no effect explains", "fits") as bar:
-        for k in range(limits.fits):
-            if k:
-                row = _with_best(e.subset(few), row, [x for x in model.active.effects if _idle(model, row, x)])
-            fit = e.subset()
-            row = fit.refine([fit.at(row, names, places)], limits.steps, chord=True)[0].row
-            wide = model.with_errors(np.maximum(torques(e, row), model.torque_tolerance), row)
-            e = e.with_record_errors(wide)
-            bar.update(k + 1)
-    least = torques(e, row)
-    return model.with_errors(np.maximum(least, model.torque_tolerance), row), UnexplainedTorque(before, least)
+    found: list[tuple[float, Likelihood, np.ndarray]] = []
+    with bars(limits.fits + limits.fits_of_best, "torques that no effect explains", "fits") as bar:
+        for fits, chord in ((limits.fits, False), (limits.fits_of_best, True)):
+            there, at = e, _with_best(e.subset(few), row, model.active.effects) if chord else row
+            for _ in range(fits):
+                fit = there.subset()
+                at = fit.refine([fit.at(at, names, places)], limits.steps, chord)[0].row
+                there = e.with_record_errors(model.with_errors(np.maximum(torques(there, at), model.torque_tolerance), at))
+                found.append((there.subset().loss(at), there, at))
+                bar.update(len(found))
+        found = found[limits.fits - 1 :]
+    _, likeliest, row = min(found, key=lambda one: one[0])
+    return likeliest.model, UnexplainedTorque(before, torques(likeliest, row))
 
 
 def _with_best(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> np.ndarray:
@@ -65,12 +68,6 @@ def _with_best(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) ->
     waves = [x for x in effects if any(p.fine and p.shape for p in x.parameters)]
     found = fit.screen(base, effects, fit.grid_search(base, waves)) if effects else []
     return found[0].row if found and found[0].cost < base.cost else row
-
-
-def _idle(model, row: np.ndarray, effect: Effect) -> bool:
-    """Returns True for an effect that a row does not have."""
-    away = [(row[model.index(effect.name, p.name)] - p.null) / (p.typical[1] - p.null) for p in effect.parameters if not p.shape]
-    return bool(np.all(np.abs(away) < thresholds().torques.idle))
 
 
 def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
