@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.gap.bench import bench_command, robot_bench, robot_cases, robot_rows, robot_thresholds
-from fishmj.gap.bench.robot_score import figures, kind_of, leave_one_out, median_with_bounds, relative_errors
+from fishmj.gap.bench.robot_score import figures, is_twin_class, kind_of, leave_one_out, median_with_bounds, relative_errors
 from fishmj.gap.laboratory.articulated import robot_stand as stands
 from fishmj.gap.laboratory.articulated.bam_servo import friction_budget, servos
 from fishmj.gap.laboratory.articulated.hidden_faults import with_hidden
@@ -186,6 +187,19 @@ def test_two_cases_are_made_judged_and_kept(tmp_path, monkeypatch, capsys):
         bench_command.main([*line[:4], "--kinds", "single", *line[6:], "--out", str(tmp_path)])
 
 
+@pytest.mark.slow
+def test_real_search_answers_a_drawn_pendulum(tmp_path, monkeypatch):
+    monkeypatch.setattr(robot_cases, "SECONDS", 2.0)
+    monkeypatch.setattr(robot_cases, "LOGS", 2)
+    monkeypatch.setitem(robot_rows.AS_SHIPPED, "null_runs", 16)
+    told = robot_cases.make_set(tmp_path, robot_cases.RobotCase("a", "none", "mujoco", "pendulum", (), 12))
+    answered = robot_rows.judge_set(tmp_path, console.plain(told))
+    assert answered["answer"] in ("AGREES", "NAMED", "CLASS", "UNEXPLAINED"), answered
+    assert answered["gates"]["adequacy"] > 0 and len(answered["torque_tolerance"]) == 1 and not answered["broken"]
+    again = robot_thresholds.replayed(console.plain(answered), robot_thresholds.SHIPPED._replace(gain=1e9))
+    assert again["answer"] in ("AGREES", "UNEXPLAINED") and again["cpu_seconds"] > 0
+
+
 def test_options_of_fish_do_not_go_with_robots():
     with pytest.raises(ConfigError, match="--power"):
         bench_command.main(["--generator", "robots", "--power", "--out", "x"])
@@ -198,7 +212,7 @@ def row(number: int, kind: str, answer: str, truth=None, said=None, generator: s
     """A row by hand. truth: {name: {parameter: value}}; said: {name: {parameter: [value, low, high]}}."""
     truth, said = truth or {}, said or {}
     out = {"id": str(number), "kind": kind, "answer": answer, "truth": truth, "generator": generator, "family": "pendulum"}
-    out |= {"visible": dict.fromkeys(truth, 9.0), "rivals": [], "warnings": [], "cpu_seconds": 1.0}
+    out |= {"torques": True, "joints": 1, "visible": dict.fromkeys(truth, 9.0), "rivals": [], "warnings": [], "cpu_seconds": 1.0}
     return out | {"said": [{"name": n, "p_best": 1.0, "values": v} for n, v in said.items()]} | more
 
 
@@ -224,6 +238,17 @@ def test_figures_of_rows_by_hand():
     assert hits("listed") == (2, 3) and hits("nulls_named") == (1, 2) and hits("agrees") == (1, 2)
     assert hits("misnamed_outside") == (1, 2) and hits("intervals_hold") == (1, 1) and found["not_searched"] == 1
     assert found["value_error_median"]["value"] == pytest.approx(0.1)
+
+
+def test_class_of_twins_counts_only_where_no_log_can_tell_them_apart():
+    late = {"command_latency": {"delay": 0.02}}
+    one = row(1, "single", "CLASS", late, {"joint_sensor_delay": {}}, rivals=["command_latency"])
+    assert is_twin_class(one) and not is_twin_class(one | {"rivals": ["command_latency", "command_hold"]})
+    damped = row(2, "single", "CLASS", {"viscous_friction@j1": {}}, {"viscous_friction@j1": {}}, rivals=["servo_damping_gain@j1"])
+    assert not is_twin_class(damped) and is_twin_class(damped | {"torques": False})
+    heavy = row(3, "single", "CLASS", {"rotor_inertia@j1": {}}, {"rotor_inertia@j1": {}}, rivals=["link_inertia@b1"])
+    assert is_twin_class(heavy) and not is_twin_class(heavy | {"joints": 2})
+    assert figures([one, damped, heavy])["coverage_or_twins"]["hits"] == 2
 
 
 def test_errors_of_a_vector_and_of_a_rate():
