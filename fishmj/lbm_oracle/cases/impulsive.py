@@ -19,7 +19,7 @@ from math import pi, sqrt
 import numpy as np
 
 from fishmj.lbm_oracle.cases import about, register, reported
-from fishmj.lbm_oracle.cases.cylinder import cylinder
+from fishmj.lbm_oracle.scene import Scene, cylinder
 
 REYNOLDS, SPEED = 550.0, 0.025
 BOX, AT = (24.0, 20.0), (0.4, 0.5)  # diameters; share of the box
@@ -43,8 +43,8 @@ def drag_of_start(cells: int, device: str, *, box=BOX, speed: float = SPEED, end
     radius = cells / 2
     period = 2 * pi * radius * sqrt(3) / MODE  # steps
     every = max(1, round(period / 12))
-    options = {"stream": speed, "sides": "open", "motion": lambda step: (0.0, 0.0)}
-    held = cylinder(cells, speed, REYNOLDS, box, AT, device, **options)
+    held = Scene(np.multiply(box, cells), 1.0, speed * cells / REYNOLDS, speed, rho=1.0, dt=1.0, sides="open", device=device)
+    held.add(cylinder(cells), np.multiply(held.extent, AT) + [0.7, 0.2])  # off the nodes, as a fish is
     water = held.coupled.fluid
     centre = held.coupled.body.data.xpos[1, :2]
     x, y = (water.lattice.corner[a] + np.arange(water.shape[a]) - centre[a] for a in range(2))
