@@ -118,6 +118,9 @@ def test_turbulent_channel_keeps_its_bulk_velocity_under_the_laws_stress():
     ratio, profile = wall_stress.turbulent(640.0, 8, "cpu", turnovers=0.05)
     friction = wall_stress.BULK / wall_stress.bulk_of(640.0)
     assert profile.mean() * ratio == pytest.approx(wall_stress.BULK / friction, rel=1e-3)
+    plus = 650.0 * (np.arange(16) - wall_stress.BESIDE[1] % 16) / 8
+    exact = np.log(np.minimum(plus, 1300 - plus).clip(1)) / wall_stress.KAPPA + wall_stress.CONSTANT
+    assert np.allclose(wall_stress.over_law(650.0, 8, 0.9 * exact), 0.9) and len(wall_stress.over_law(650.0, 8, exact)) == 14
     expected = law(wall_stress.BULK, wall_law.STANDOFF, friction * 8 / 640.0)[0]
     assert (ratio * friction) ** 2 == pytest.approx(expected, rel=0.1)
 
