@@ -25,7 +25,7 @@ REYNOLDS, SPEED = 550.0, 0.025
 BOX, AT = (24.0, 20.0), (0.4, 0.5)  # diameters; share of the box
 END = 3.4  # U t / R
 MODE = 1.841  # of sound in a circle: where the derivative of J_1 is zero
-EARLY, LATE = (0.35, 1.5), (1.8, END)  # U t / R, in which the least and the greatest are looked for
+EARLY, LATE = (0.6, 1.5), (1.8, END)  # U t / R, in which the least and the greatest are looked for
 LEAST, GREATEST = (0.79, 0.703), (2.89, 1.287)  # U t / R and C_D
 
 

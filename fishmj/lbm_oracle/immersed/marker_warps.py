@@ -490,19 +490,8 @@ class MarkerWarps:
     def spread_force(self, f: wp.array, acceleration: wp.array) -> None:
         """Queues `spread_force`: the force into the fluid's G, and the wrench on the links; `f` as in `sample_fluid`."""
         b, lat = self.boundary, self.boundary.lattice
-        args = [
-            b.host,
-            b.layout,
-            b.before,
-            b.after,
-            b.share,
-            b.volume,
-            b.world,
-            b.store,
-            self._low_cell,
-            self._weight_over_rho,
-            b.force,
-        ]
+        args = [b.host, b.layout, b.before, b.after, b.share, b.volume, b.world, b.store, self._low_cell]
+        args += [self._weight_over_rho, b.force]
         args += [b.target, wp.vec3i(*b.shape), lat.mass * lat.velocity, f, b.law, b.normal, lat.dx]
         args += [b.final, b.scratch, acceleration, b.wrench_sum]
         self._launch(self._kernels.spread_force, self._threads, args)
