@@ -71,6 +71,12 @@ def test_only_sheets_have_a_layer_and_what_they_stand_for_is_taken_off():
         Sharpness(layer=-1.0)
 
 
+def test_layers_are_refused_with_another_kernel_than_theirs():
+    with pytest.raises(ConfigError, match=r"a kernel of 4 points for markers with a layer .* width = 3 \(--kernel 3\)"):
+        SwimSetup(domain=POND, sharpness=FINS, width=4).coupled()
+    SwimSetup(domain=POND, sharpness=EDGES, width=4).coupled()
+
+
 def swimming(sharpness: Sharpness = FINS):
     """The fish in a periodic pond."""
     made = coupled_fish.pond("cpu")

@@ -10,7 +10,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.evaluate import bench
 from fishmj.evaluate.bench import oracle as bench_oracle
 from fishmj.lbm_oracle import cases
-from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, maps, oscillating, settling
+from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, impulsive, maps, oscillating, settling
 from fishmj.lbm_oracle.cases.cylinder import cylinder as held_cylinder
 from fishmj.lbm_oracle.grid_studies import converge_fish
 from fishmj.lbm_oracle.grid_studies.converge_fish import ConvergenceResult, ConvergenceTable, Key
@@ -60,6 +60,18 @@ def test_a_street_is_read_from_rising_zero_to_rising_zero():
     drag, lift, strouhal, periods = cylinder.street(force, 0.02)
     assert (drag, lift, strouhal) == pytest.approx((1.3, 0.33, 0.165), rel=2e-3) and periods == 5
     assert np.isnan(cylinder.street(force[:100], 0.02)[2])
+
+
+def test_an_impulsive_start_begins_in_the_potential_flow_and_finds_both_extremes():
+    x = np.arange(-20.0, 20.0) + 0.5
+    u, pressure = impulsive.start_flow(x, x, 5.0, 0.1)
+    top = np.argmin(np.abs(x - 5.5))
+    assert u[20, top, 0, 0] == pytest.approx(0.1 * (1 + 25 / 5.5**2), rel=0.02) and (u[18:22, 18:22] == 0).all()
+    assert np.abs(np.gradient(u[..., 0, 0], axis=0) + np.gradient(u[..., 0, 1], axis=1))[1:5].max() < 3e-5
+    assert pressure[20, top, 0] == pytest.approx(0.5 * (0.01 - u[20, top, 0, 0] ** 2), rel=0.01)
+    times, drag = impulsive.drag_of_start(12, "cpu", box=(10.0, 8.0))
+    assert impulsive.extreme(times, drag, impulsive.LATE, 1)[1] == pytest.approx(impulsive.GREATEST[1], rel=0.08)
+    assert impulsive.extreme(times, drag, impulsive.EARLY, -1)[1] == pytest.approx(impulsive.LEAST[1], rel=0.1)
 
 
 def test_morison_finds_the_coefficients_that_made_a_force():

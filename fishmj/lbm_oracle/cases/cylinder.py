@@ -15,6 +15,7 @@ Sources: Taira and Colonius 2007, J. Comput. Phys. 225:2118, table 2 (Re 40); Li
 Choi 1998 (Re 100) as tabulated beside its own figures by the validation pages of the solver Mallard, read 2026-11-20.
 """
 
+from dataclasses import replace
 from math import pi
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ import numpy as np
 from fishmj.lbm_oracle import scene
 from fishmj.lbm_oracle.cases import Check, about, register, reported
 from fishmj.lbm_oracle.immersed.markers import offset_of
+from fishmj.lbm_oracle.immersed.strip import circle_markers
 from fishmj.lbm_oracle.scene import Scene
 
 STREAM = 0.06  # lattice units: Mach 0.1
@@ -46,7 +48,8 @@ def cylinder(cells: int, speed: float, reynolds: float, box, at, device: str, *,
     water = Scene(np.multiply(box, cells), 1.0, speed * cells / reynolds, rho=1.0, dt=1.0, device=device, **options)
     density = 1.0 if motion is None else None
     place = np.multiply(water.extent, at) + [0.7, 0.2]
-    return water.add(scene.cylinder(cells), place, joints=("slide x", "slide y"), motion=motion, density=density)
+    shape = replace(scene.cylinder(cells), markers=lambda dx: circle_markers(cells / 2, dx))
+    return water.add(shape, place, joints=("slide x", "slide y"), motion=motion, density=density)
 
 
 class Held(NamedTuple):

@@ -26,7 +26,7 @@ from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import fsi_solve, kernels, wall_law
 from fishmj.lbm_oracle.immersed.kernels import check_width
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
-from fishmj.lbm_oracle.immersed.markers import Markers
+from fishmj.lbm_oracle.immersed.markers import LAYER_WIDTH, Markers
 
 MARKERS_A_CHUNK, CHUNKS = 24, (16, 256)  # of a partial sum over the markers; how many of these at least and at most on a GPU
 ROOM = 1.1  # rounding to whole numbers of markers: a median distance so far over a limit is still allowed
@@ -72,7 +72,8 @@ class Boundary:
     (`spanned_axes`).
 
     Raises:
-        ConfigError: a marker of a link that the body does not have, or on a bend without a hinge; invalid numbers.
+        ConfigError: a marker of a link that the body does not have, or on a bend without a hinge; invalid numbers; a `width` for
+            which the markers' layers were not measured.
         OracleUnstable: the markers' spacing does not fit this grid's cells; usually they were made for another grid.
     """
 
@@ -92,6 +93,11 @@ class Boundary:
             raise ConfigError(
                 f"immersed boundary: slip = {slip} with a law for the wall's stress, which sets it; leave slip at 1"
             )
+        if width != LAYER_WIDTH and markers.layer is not None and markers.layer.any():
+            raise ConfigError(
+                f"immersed boundary: a kernel of {width} points for markers with a layer of water (boundary fins), which was"
+                f" measured for {LAYER_WIDTH} points; take width = {LAYER_WIDTH} (--kernel {LAYER_WIDTH}), or boundary edges"
+            )
         apart = float(np.sqrt(np.median(markers.area)))
         check_spacing(lattice, apart / ROOM if apart > lattice.dx else apart * ROOM, "immersed boundary")
         self.count, self.rhs = n, self.dofs + 1
@@ -100,11 +106,14 @@ class Boundary:
         size = body.largest_extent(self.corners)
         self.spanned_axes = [a for a in range(3) if not isfinite(size[a])]
         cells = (n if a in self.spanned_axes else int(np.ceil(size[a] / lattice.dx)) for a, n in enumerate(fluid.shape))
-        self.box_shape = tuple(n + 2 * MARGIN for n in cells)
+        self.law = wall_law.law_of(markers, lattice.dx, lattice.nu_lu, device)
+        self.has_law = self.law.height > 0
+        self._margin = MARGIN + self.law.points  # the law's force reaches further than a kernel
+        self.box_shape = tuple(n + 2 * self._margin for n in cells)
         if self.spanned_axes:
             device_of(str(device), int(np.prod(self.box_shape)) * (12 * self.rhs + 16))
         # cells before the first cell of water, on axes where the scratch box wraps round
-        self._fold_margin = [MARGIN if a in self.spanned_axes and wraps[a] else 0 for a in range(3)]
+        self._fold_margin = [self._margin if a in self.spanned_axes and wraps[a] else 0 for a in range(3)]
         self.corners.set_grid(lattice.dx, lattice.corner, self.box_shape)
         make = lambda values, dtype: wp.array(values, dtype=dtype, device=device)
         self.rest = make(markers.rest, wp.vec3d)
@@ -114,8 +123,6 @@ class Boundary:
         self.share = make(markers.share.astype(float), wp.float64)
         self.volume = make((markers.area / lattice.dx**2).astype(np.float32), wp.float32)
         self.slips = make(slips_of(markers, self.slip, lattice.nu_lu, self.passes).astype(np.float32), wp.float32)
-        self.law = wall_law.law_of(markers, lattice.dx, lattice.nu_lu, device)
-        self.has_law = self.law.height > 0
         self.reach = max(width / 2, self.law.height + 1 if self.has_law else 0.0)  # cells round a marker that it reads
         self._probed = wp.zeros((n if self.has_law else 0, 2 * wall_law.NODES), dtype=wp.vec3, device=device)
         self.moves, self.slides = make(body.reach, wp.float64), make(body.slides, wp.int32)
@@ -128,7 +135,7 @@ class Boundary:
         self.box_u, self.box_rho = empty(self.box_shape, wp.vec3), empty(self.box_shape, wp.float32)
         self.wanted, self.force = empty((n, self.rhs), wp.vec3), empty((n, self.rhs), wp.vec3)
         self.scratch = empty((*self.box_shape, self.rhs), wp.vec3)  # all v_j and the rest state at once: one set of launches
-        self.final = empty(n, wp.vec3)
+        self.final, self._across = empty(n, wp.vec3), empty(n if self.has_law else 0, wp.vec3)
         self._recorded: dict[tuple, Any] = {}  # launches on a CPU, by kernel and arguments
         chunks = min(n, max(CHUNKS[0], min(n // MARKERS_A_CHUNK, CHUNKS[1]))) if device.is_cuda else 1
         self.part = empty((chunks, self.dofs, self.rhs), wp.float64)
@@ -174,8 +181,8 @@ class Boundary:
             raise ConfigError("immersed boundary: the body's place is not finite; see body.data.qpos")
         for a in range(3):
             if a in self.spanned_axes:
-                self.view["box"][a] = first[a] - MARGIN
-            elif found[3 + a] - found[a] > (self.box_shape[a] - 2 * MARGIN + 1) * dx:  # the kernels would write beyond it
+                self.view["box"][a] = first[a] - self._margin
+            elif found[3 + a] - found[a] > (self.box_shape[a] - 2 * self._margin + 1) * dx:  # the kernels would write beyond it
                 raise ConfigError(
                     f"immersed boundary: the body spans {found[3 + a] - found[a]:.3g} m along {'xyz'[a]}, further than its links"
                     " reached when it was put into the water; put a changed model into the water anew"
@@ -254,7 +261,7 @@ class Boundary:
         """Queues the sum over cells of the scratch box that are one cell of water, a period apart; each gets the sum."""
         if self._fold_margin[axis]:
             dim = list(self.scratch.shape)
-            dim[axis] = min(self.shape[axis], 2 * MARGIN)
+            dim[axis] = min(self.shape[axis], 2 * self._margin)
             self._launch(kernels.fold, tuple(dim), [axis, self.shape[axis]], [self.scratch])
 
     def _measure_interior(self, f: wp.array, shape: wp.vec3i, speed: wp.array) -> None:
@@ -281,15 +288,25 @@ class Boundary:
         args = [self.wrench_part, lat.mass * lat.velocity, self._sum_threads, self.host, self.layout]
         self._launch(fsi_solve.add_wrench, (self.links, 6, self._sum_threads), args, [self._wrench, self._returned_wrench])
 
-    def spread_force(self, acceleration: wp.array) -> None:
-        """Queues the spreading of the final force into the fluid's `acceleration`."""
-        args = [self.cell, self.store, self.volume, self.final, self.width, wp.vec3i(*self.shape), self.box_rho]
+    def spread_force(self, f: wp.array, acceleration: wp.array) -> None:
+        """Queues the spreading of the final force into the fluid's `acceleration`; `f` as in `assemble_response`."""
+        force, shape = self.final, wp.vec3i(*self.shape)
+        if self.has_law:
+            force = self._across
+            self._launch(wall_law.take_across, self.count, [self.normal, self.final], [force])
+            args = [self.host, self.layout, self.law, f, self.world, self.normal, self.volume, self.final, force]
+            nodes = self.law.last.shape[1] * wall_law.NODES
+            self._launch(wall_law.push_layers, (self.count, nodes), [*args, wp.float64(self.lattice.dx), shape], [acceleration])
+        args = [self.cell, self.store, self.volume, force, self.width, shape, self.box_rho]
         self._launch(kernels.spread_force, (self.count, self.width), args, [acceleration])
 
     def clear_force(self, acceleration: wp.array) -> None:
         """Queues G = 0 in the cells of the last spread force."""
         args = [self.store, self.width, wp.vec3i(*self.shape)]
         self._launch(kernels.clear_force, (self.count, self.width**3), args, [acceleration])
+        if self.has_law:
+            nodes = self.law.last.shape[1] * wall_law.NODES
+            self._launch(wall_law.clear_layers, (self.count, nodes), [self.law, args[2]], [acceleration])
 
     def take_wrench(self) -> np.ndarray:
         """Impulse of the water on every link since the last call, (L, 6): N s in the world frame, N m s about its origin.

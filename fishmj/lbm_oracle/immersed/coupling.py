@@ -240,7 +240,7 @@ class FluidStructure:
             self.boundary.solve(self.scheme == "implicit")
             self.boundary.sum_wrench()
         else:
-            self.boundary.spread_force(self.fluid.force)
+            self.boundary.spread_force(self.fluid.f.flatten(), self.fluid.force)
             if self.early is None:
                 self.fluid.stream_collide()
             else:

@@ -353,13 +353,13 @@ class DeviceSteps:
             if self._warps is None:
                 boundary.assemble_response(fluid.f.flatten(), fluid.origin, fluid.box, self._interiors[k].measured_speed)
                 boundary.solve()
-                boundary.spread_force(fluid.force)
+                boundary.spread_force(fluid.f.flatten(), fluid.force)
             else:
                 with self._branch(self._side_stream):
                     boundary.measure_interior(fluid.f.flatten(), self._interiors[k].measured_speed)
                 self._warps.sample_fluid(fluid.f.flatten(), fluid.origin, fluid.box, fluid.force)
                 self._warps.assemble_response()
-                self._warps.spread_force(fluid.force)
+                self._warps.spread_force(fluid.f.flatten(), fluid.force)
             with self._branch(self._side_stream):
                 if self._warps is None:
                     boundary.sum_wrench()  # before the body moves: about where the links were

@@ -24,7 +24,7 @@ from fishmj.lbm_oracle.immersed import fsi_solve
 from fishmj.lbm_oracle.immersed.boundary import Boundary
 from fishmj.lbm_oracle.immersed.fsi_solve import MOST, finish_response, finishes_last, solve_block, wait_for_block
 from fishmj.lbm_oracle.immersed.kernels import CouplingArrays, first_cell, phi, pulled_moments
-from fishmj.lbm_oracle.immersed.wall_law import NODES, WallLaw, law_slip, probe, wall_velocity
+from fishmj.lbm_oracle.immersed.wall_law import NODES, WallLaw, clear_layer, law_slip, probe, push_layer, wall_velocity
 
 LANES = 32  # of a marker, on an accelerator
 GROUP = 4  # lanes of a marker and right-hand side in `assemble_response`
@@ -80,7 +80,7 @@ def marker_kernels(width: int, on_gpu: bool, number: type = wp.float32, has_law:
         place_markers_kernel(width, lanes, module),
         sample_fluid_kernel(width, lanes, number, has_law, module),
         assemble_response_kernel(width, group, on_gpu, has_law, module),
-        spread_force_kernel(width, lanes, module),
+        spread_force_kernel(width, lanes, number, has_law, module),
     )
 
 
@@ -240,7 +240,8 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, has_law: bool, mod
             wall = wall_velocity(host, at, jacobian, k)
             outer = wp.vec3(sum_over_warp(out[0]), sum_over_warp(out[1]), sum_over_warp(out[2])) - wall
             inner = wp.vec3(sum_over_warp(back[0]), sum_over_warp(back[1]), sum_over_warp(back[2])) - wall
-            slip = law_slip(law, k, normal, u_at_marker - wall, outer, inner)
+            found = law_slip(law, k, normal, u_at_marker - wall, outer, inner)
+            slip = found[0]
             d = int(lane)
             while d < at.dofs:
                 v = jacobian[k, d]
@@ -248,6 +249,11 @@ def sample_fluid_kernel(width: int, lanes: int, number: type, has_law: bool, mod
                 d += wp.static(lanes)
             if lane == 0:
                 slips[k] = slip
+                law.outer[k] = found[1]
+            o = int(lane)
+            while o < NODES * law.points * law.sides[k]:
+                clear_layer(law, k, o, shape, acceleration)
+                o += wp.static(lanes)
         if lane == 0:
             force[k, 0] = slip * (u_at_marker - wp.dot(u_at_marker, normal) * normal) - u_at_marker
             last_store[k] = here  # all lanes have read the old one: `sum_over_warp` waits for them
@@ -352,8 +358,8 @@ def assemble_response_kernel(width: int, group: int, on_gpu: bool, has_law: bool
     return assemble_response
 
 
-def spread_force_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
-    """Kernel of the final force and the wrenches."""
+def spread_force_kernel(width: int, lanes: int, number: type, has_law: bool, module: Any) -> wp.Kernel:
+    """Kernel of the final force and the wrenches; `has_law`: the force along the wall goes into a layer."""
     cells = width**3
 
     @wp.kernel(module=module, grid_stride=False)
@@ -372,6 +378,10 @@ def spread_force_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
         v: wp.array(dtype=wp.float64),
         shape: wp.vec3i,
         impulse: wp.float64,
+        f: wp.array(dtype=number),
+        law: WallLaw,
+        normals: wp.array(dtype=wp.vec3),
+        dx: wp.float64,
         final: wp.array(dtype=wp.vec3),
         scratch: wp.array4d(dtype=wp.vec3),
         acceleration: wp.array3d(dtype=wp.vec3),
@@ -380,6 +390,7 @@ def spread_force_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
         """Adds the final force to the fluid's G and to the wrenches on the links; clears the scratch box for the next step.
 
         Fuses `kernels.combine` (F = F0 + sum v_j F_j), `kernels.spread_force`, `fsi_solve.wrench` and `fsi_solve.add_wrench`.
+        With a law for the wall it also fuses `wall_law.push_layers`.
         """
         tid = wp.tid()
         k, lane = tid // wp.static(lanes), tid % wp.static(lanes)
@@ -389,6 +400,15 @@ def spread_force_kernel(width: int, lanes: int, module: Any) -> wp.Kernel:
         if lane == 0:
             final[k] = total
         whole, p, here = volume[k] * total, low_cell[k], store[k]
+        if wp.static(has_law):
+            normal = normals[k]
+            across = wp.dot(whole, normal) * normal
+            place = (world[k] - point3(host, at.origin)) / dx
+            o = int(lane)
+            while o < NODES * law.points * law.sides[k]:
+                push_layer(law, f, k, o, place, normal, whole - across, shape, acceleration)
+                o += wp.static(lanes)
+            whole = across
         o = int(lane)
         while o < wp.static(cells):
             i, j, l = o // wp.static(width**2), (o // wp.static(width)) % wp.static(width), o % wp.static(width)
@@ -467,23 +487,13 @@ class MarkerWarps:
         args += [b.force, self._part, self._done, b.water, *b.elimination, self._velocity, b.target]
         self._launch(self._kernels.assemble_response, self._response_threads, args)
 
-    def spread_force(self, acceleration: wp.array) -> None:
-        """Queues `spread_force`: the force into the fluid's G, and the wrench on the links."""
+    def spread_force(self, f: wp.array, acceleration: wp.array) -> None:
+        """Queues `spread_force`: the force into the fluid's G, and the wrench on the links; `f` as in `sample_fluid`."""
         b, lat = self.boundary, self.boundary.lattice
-        args = [
-            b.host,
-            b.layout,
-            b.before,
-            b.after,
-            b.share,
-            b.volume,
-            b.world,
-            b.store,
-            self._low_cell,
-            self._weight_over_rho,
-            b.force,
-        ]
-        args += [b.target, wp.vec3i(*b.shape), lat.mass * lat.velocity, b.final, b.scratch, acceleration, b.wrench_sum]
+        args = [b.host, b.layout, b.before, b.after, b.share, b.volume, b.world, b.store, self._low_cell]
+        args += [self._weight_over_rho, b.force]
+        args += [b.target, wp.vec3i(*b.shape), lat.mass * lat.velocity, f, b.law, b.normal, lat.dx]
+        args += [b.final, b.scratch, acceleration, b.wrench_sum]
         self._launch(self._kernels.spread_force, self._threads, args)
 
     def _launch(self, kernel, dim, inputs) -> None:

@@ -45,7 +45,7 @@ CLAMP = 0.45  # of the local half-thickness
 SHEET = 0.5  # cells; a retracted half-width below it is one sheet
 EDGE_RADIUS = 2 / 3  # cells; an edge of this radius is drawn in half-way between a rim and a hull
 FLAT = 0.003  # share of an arc that faces across it, below which the arc counts as flat
-LAYER = 1.76  # 2 k', cells of water that move with a sheet; 3 points
+LAYER, LAYER_WIDTH = 1.76, 3  # 2 k', cells of water that move with a sheet, and the points of the kernel for which they do
 KINK = {3: 0.6, 4: 0.8}  # k, cells: mean over places between the nodes and angles to the grid; of 3 points 0.54 to 0.63
 
 

@@ -23,6 +23,9 @@ from fishmj.lbm_oracle.immersed.silhouettes import Surface, frontal_area, thinne
 from fishmj.lbm_oracle.immersed.strip import circle_markers
 
 POINTS, ROUNDS = 25, 10  # random points a marker, Lloyd's iterations: patches even to 15 %
+# cells that markers are drawn in: a wall with water at rest behind it acts k' / 2 = 0.44 cells in front of them, half of what a
+# sheet with moving water on both sides does (markers.py)
+INSET = offset_of(3, slip=1.0)
 MOST_DRAWN = 1.8  # insets by which a vertex moves at most: a box's corner needs 3^1/2
 LOST = 0.05  # share of the points that may leave the shape when its faces are drawn in
 SHOWN = 3  # groups of geoms that MuJoCo draws by default: 0, 1, 2
@@ -55,7 +58,7 @@ def sphere(diameter: float) -> BodyShape:
     d = float(numbers("sphere: diameter", diameter, low=1e-300))
     volume, area = pi * d**3 / 6, pi * d**2 / 4
     inertia = np.eye(3) * 0.1 * volume * d**2
-    make, surface = lambda dx: sphere_markers(d / 2, dx), _revolved(_arc() * d / 2)
+    make, surface = lambda dx: sphere_markers(d / 2, dx, hydro_offset=INSET), _revolved(_arc() * d / 2)
     return BodyShape(name="sphere", markers=make, size=d, area=area, surface=surface, volume=volume, inertia=inertia)
 
 
@@ -65,7 +68,10 @@ def cylinder(diameter: float) -> BodyShape:
     volume = pi * d**2 / 4
     inertia = np.diag([1.0, 1.0, 2.0]) * volume * d**2 / 16
     turn = np.linspace(0, 2 * pi, 64, endpoint=False)
-    make, surface = lambda dx: circle_markers(d / 2, dx), _ring(np.stack([np.cos(turn), np.sin(turn)], -1) * d / 2)
+    make, surface = (
+        lambda dx: circle_markers(d / 2, dx, hydro_offset=INSET),
+        _ring(np.stack([np.cos(turn), np.sin(turn)], -1) * d / 2),
+    )
     options: dict[str, Any] = {"surface": surface, "volume": volume, "inertia": inertia, "flat": True}
     return BodyShape(name="cylinder", markers=make, size=d, area=d, **options)
 
@@ -101,7 +107,7 @@ def polygon_markers(corners: np.ndarray, dx: float) -> Markers:
     Raises:
         ConfigError: the section is thinner than the offset on both sides.
     """
-    inset = offset_of(3) * dx
+    inset = INSET * dx
     along = np.roll(corners, -1, 0) - corners
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     after = np.stack([along[:, 1], -along[:, 0]], -1)  # outward, of the edge behind each corner
@@ -119,7 +125,7 @@ def polygon_markers(corners: np.ndarray, dx: float) -> Markers:
     turned_back = np.sum(edges * along, 1) < 0
     if _turned(drawn) <= 0 or np.mean(turned_back[edge] | ~_inside(place, corners)) > LOST:
         raise ConfigError(
-            f"section: more than {100 * LOST:.0f} % of its line lies where it is thinner than the {2 * offset_of(3):.1f} cells by"
+            f"section: more than {100 * LOST:.0f} % of its line lies where it is thinner than the {2 * INSET:.1f} cells by"
             f" which both sides are drawn in at dx = {dx:g} m; take a smaller dx, or a plate(..) for a thin part"
         )
     lift = lambda values: np.append(values, np.zeros((count, 1)), 1)
@@ -277,7 +283,7 @@ def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: floa
         ConfigError: the surface is thinner than the offset on both sides.
     """
     random = np.random.default_rng(0)
-    drawn = _drawn_in(vertices, faces, offset_of(3) * dx)
+    drawn = _drawn_in(vertices, faces, INSET * dx)
     area = float(np.linalg.norm(_area_vectors(drawn, faces), axis=1).sum())
     count = max(8, round(area / dx**2))
     points, normals = _random_points(drawn, faces, POINTS * count, random)
@@ -286,7 +292,7 @@ def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: floa
     lost = float(np.mean(np.sum((points - outside[near]) * outward[near], 1) > 0))
     if lost > LOST:
         raise ConfigError(
-            f"{what}: {100 * lost:.0f} % of its surface is thinner than the {2 * offset_of(3):.1f} cells by which both sides are"
+            f"{what}: {100 * lost:.0f} % of its surface is thinner than the {2 * INSET:.1f} cells by which both sides are"
             f" drawn in at dx = {dx:g} m; take a smaller dx, or a plate(..) for a thin part"
         )
     place = np.concatenate([points / dx, 0.5 * normals], 1)  # two near sides stay apart

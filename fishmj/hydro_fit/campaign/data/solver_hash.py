@@ -39,8 +39,10 @@ ONE_LOOP = "3fe611ac37e302d67b2ecb0e893490b86e9764493a8878f400bbcfcd5a9525ba"
 # an option, a law of the wall; blocks of rows on a CPU; the rest to the bit
 WALLS = "d878cfcd8e5cf6f0a8932c30321d06243572905713901643aa403a3dc090b236"
 LAYERS = "40b752a4b504c515a2b77bae0882d6b4f2c55536e0accb47bb0f314f7c3a6c87"  # an option, layers on sheets; the rest to the bit
+# wall_stress gives the water its force over a layer, which no shipped data has; kernels of other widths; the rest to the bit
+SPREAD = "3cf54951701cf4e9b94d0421e003b02d83bd3b8c60d8d8f147a58ccd5ad0c93a"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys((*LATER, WALLS, LAYERS), SHIPPED)
+SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD), SHIPPED)
 
 
 @cache
