@@ -31,9 +31,7 @@ AGAIN = "the same command begins anew"
 
 def find(args: Any) -> int:
     """Answers the command. args: of `gap find`. Returns the exit code."""
-    for option, usual in FISH_ONLY.items():
-        if getattr(args, option, usual) not in (usual, []):
-            raise ConfigError(f"gap find: --{option.replace('_', '-')} is of fish; leave it out with --model {args.model}")
+    refuse_fish_options(args, "gap find")
     path = Path(args.model)
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
@@ -52,12 +50,19 @@ def find(args: Any) -> int:
         console.say(f"  {place_of(inquiry).text}")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
-            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files)})
+            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files, inquiry)})
             page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
             console.say(f"written: verdict.json, {page}")
     if args.json:
         console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
     return console.OK
+
+
+def refuse_fish_options(args: Any, command: str) -> None:
+    """Raises ConfigError for an option that a robot in MJCF has not."""
+    for option, usual in FISH_ONLY.items():
+        if getattr(args, option, usual) not in (usual, []):
+            raise ConfigError(f"{command}: --{option.replace('_', '-')} is of fish; leave it out with {args.model}")
 
 
 def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotColumns:
@@ -73,7 +78,7 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
         raise LogError(f"{sheet.where}: {error}") from error
     console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
     if not args.yes and not console.confirmed("Is that right?"):
-        raise LogError("gap find: the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+        raise LogError("the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
     return found
 
 
@@ -114,14 +119,19 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def context_of(args: Any, robot: RobotDescription, files: list[Path]) -> dict:
-    """Inputs of the search, for gap apply."""
-    whole = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+def logs_digest(files: list[Path]) -> str:
+    """sha256 of the logs' contents."""
+    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+
+
+def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: Inquiry) -> dict:
+    """Inputs of the search, and the logs outside every decision (or outside every fit), for gap apply and gap check."""
     return {
         "model": str(robot.path.resolve()),
         "model_sha256": digest(robot.path),
         "data": str(args.data.resolve()),
-        "data_sha256": whole,
+        "data_sha256": logs_digest(files),
+        "judged": inquiry.judged,
         "null": {"runs": args.null_runs, "noise": args.noise, "seed": args.seed},
     }
 

@@ -96,16 +96,20 @@ class _RobotEffect(_ReportTable):
     parameters: dict[str, _Value]
 
 
-class _RobotContext(_ReportTable):
+class RobotContext(_ReportTable):
+    """Inputs of the search of a robot in MJCF. judged: names of the logs outside every decision, or outside every fit."""
+
     model: Text
     model_sha256: Sha256
+    data_sha256: Text = ""
+    judged: list[Text] = []
 
 
 class _RobotVerdict(_ReportTable):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
     effects: list[_RobotEffect]
     by_effect: dict[str, Literal["NAMED", "CLASS"]] = {}
-    context: _RobotContext
+    context: RobotContext
     gap_before: Finite
     gap_after: Finite
     over_floor: dict[str, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = {}
