@@ -1,16 +1,21 @@
 """Commands around the search of a robot in MJCF: check, calibration, import, next experiment. All logs are *synthetic*."""
 
 import json
+from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from robot_arm import ARM, edited, write_logs
 
-from fishmj.base.errors import ConfigError
+from fishmj.base.errors import ConfigError, LogError
+from fishmj.gap.calibrate import robot_command
+from fishmj.gap.calibrate.robot_fit import described, fit_robot
 from fishmj.gap.commands import check
 from fishmj.gap.commands.check_robot import ratio_of
-from fishmj.gap.commands.find_robot import digest, logs_digest
+from fishmj.gap.commands.find_robot import digest, logs_digest, read_logs
 from fishmj.gap.records.robot_logs import log_files
+from fishmj.gap.records.shooting import robot_records
 
 pytest.importorskip("numba")
 
@@ -86,3 +91,52 @@ def test_interval_of_a_ratio_holds_it_and_narrows_with_more_logs():
         assert ratio.low < 0.5 < ratio.high and ratio.over == "logs"
         widths.append(ratio.high - ratio.low)
     assert widths[1] < widths[0]
+
+
+# -------------------------------------------------------------------------------------------------------------- calibrate model
+@pytest.fixture(scope="module")
+def stiff_logs(folder):
+    text = edited(elbow_joint='frictionloss="0.06" armature="0.004"').replace('damping="0.06"', 'damping="0.12"')
+    return write_logs(folder / "stiff", text, logs=2, seconds=1.7, seed=3)
+
+
+def test_calibration_finds_friction_damping_and_armature(arm, stiff_logs, tmp_path, capsys):
+    out = tmp_path / "arm.calibrated.xml"
+    asked = [str(stiff_logs), "--model", str(arm), "--yes", "--out", str(out), "--only", "friction,damping,armature,bodies"]
+    assert robot_command.main([*asked, "--json"]) == 0
+    found = said(capsys)
+    numbers = {n["name"]: n for n in found["numbers"]}
+    for name, true in (("coulomb_friction@elbow", 0.06), ("rotor_inertia@elbow", 0.004), ("viscous_friction@shoulder", 0.12)):
+        n = numbers[name]
+        assert n["low"] <= true <= n["high"] and n["is_told"] and abs(n["value"] - true) < 0.1 * true, n
+    m = mujoco.MjModel.from_xml_path(str(out))
+    assert m.dof_frictionloss[1] == pytest.approx(0.06, rel=0.1) and m.dof_damping[0] == pytest.approx(0.12, rel=0.1)
+    left = [n for n in found["numbers"] if not n["is_told"]]
+    assert {"inertia@upper"} <= {n["name"] for n in left} and found["misfit"][1] < 0.1 * found["misfit"][0]
+    assert m.body_inertia[1].tolist() == [0.004, 0.004, 0.0005]  # not told, so as stated
+    assert "90 % intervals" in out.read_text()
+
+
+def test_number_that_no_log_shows_is_left(arm, folder):
+    """A motor has no damping gain, and a joint at rest tells no friction."""
+    logs = write_logs(folder / "still", ARM, logs=2, seconds=1.0)
+    robot, records = opened(arm, logs)
+    at_rest = [r._replace(joint=r.joint._replace(values=r.joint.values * [1.0, 0.0])) for r in records]
+    found = fit_robot(robot, at_rest, ("friction", "gain"))
+    left = {n.name: described(n) for n in found.numbers if not n.is_told}
+    assert left["servo_damping_gain@shoulder"] == left["coulomb_friction@elbow"] == "left: no log shows it"
+    assert found.model.dof_frictionloss[1] == 0.0
+    with pytest.raises(LogError, match="no joint moves"):
+        fit_robot(robot, [r._replace(joint=r.joint._replace(values=0.0 * r.joint.values)) for r in records])
+
+
+def opened(path, logs):
+    robot, _, trials, _ = read_logs(SimpleNamespace(model=path, data=logs, columns=None, yes=True))
+    return robot, robot_records(trials, robot.dt, robot.sites("joint"))
+
+
+def test_calibration_refuses_what_it_does_not_know(arm, stiff_logs, tmp_path):
+    with pytest.raises(ConfigError, match="known: friction, damping"):
+        robot_command.main([str(stiff_logs), "--model", str(arm), "--only", "colour"])
+    with pytest.raises(ConfigError, match="exists, or does not end"):
+        robot_command.main([str(stiff_logs), "--model", str(arm), "--out", str(arm)])

@@ -24,6 +24,7 @@ from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
+from fishmj.log import Trial
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
 AGAIN = "the same command begins anew"
@@ -32,15 +33,7 @@ AGAIN = "the same command begins anew"
 def find(args: Any) -> int:
     """Answers the command. args: of `gap find`. Returns the exit code."""
     refuse_fish_options(args, "gap find")
-    path = Path(args.model)
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
-    robot = read_robot(path)
-    files = log_files(args.data)
-    columns = columns_of(args, robot, files)
-    trials, broken = read_robot_logs(files, columns)
-    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
-        console.warn(note)
+    robot, files, trials, broken = read_logs(args)
     if len(trials) < 2:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
     with interrupt.keeping(lambda: AGAIN):
@@ -56,6 +49,19 @@ def find(args: Any) -> int:
     if args.json:
         console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
     return console.OK
+
+
+def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dict[str, str]]:
+    """(robot, its logs' files, those that can be read, file's name -> why it cannot) of --model, the data and --columns."""
+    path = Path(args.model)
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
+    robot = read_robot(path)
+    files = log_files(args.data)
+    trials, broken = read_robot_logs(files, columns_of(args, robot, files))
+    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
+        console.warn(note)
+    return robot, files, trials, broken
 
 
 def refuse_fish_options(args: Any, command: str) -> None:
