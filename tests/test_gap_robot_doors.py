@@ -6,16 +6,20 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
+import robot_recordings
 from robot_arm import ARM, edited, write_logs
 
-from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.errors import ConfigError, LogError, UsageError
 from fishmj.gap.calibrate import robot_command
 from fishmj.gap.calibrate.robot_fit import described, fit_robot
 from fishmj.gap.commands import check
+from fishmj.gap.commands.admit_robot import doubts, mistakes, refuse_mistakes, undone
 from fishmj.gap.commands.check_robot import ratio_of
-from fishmj.gap.commands.find_robot import digest, logs_digest, read_logs
-from fishmj.gap.records.robot_logs import log_files
+from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, read_logs
+from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs
 from fishmj.gap.records.shooting import robot_records
+from fishmj.log import import_command
 
 pytest.importorskip("numba")
 
@@ -140,3 +144,152 @@ def test_calibration_refuses_what_it_does_not_know(arm, stiff_logs, tmp_path):
         robot_command.main([str(stiff_logs), "--model", str(arm), "--only", "colour"])
     with pytest.raises(ConfigError, match="exists, or does not end"):
         robot_command.main([str(stiff_logs), "--model", str(arm), "--out", str(arm)])
+
+
+# --------------------------------------------------------------------------------------------------------- recordings, data sets
+def told(folder, number=0):
+    """(stamps, commands, positions) of a log in CSV."""
+    rows = np.loadtxt(log_files(folder)[number], delimiter=",", skiprows=1)
+    return rows[:, 0], rows[:, 1:3], rows[:, 3:5]
+
+
+def same_as_csv(robot, logs, csv, late=0.0):
+    (trial,), _ = read_robot_logs(*guessed(robot, logs))
+    t, commands, positions = told(csv)
+    cmd, joint = trial.table("cmd"), trial.table("joint")
+    np.testing.assert_allclose(np.stack([cmd["c1"], cmd["c2"]], 1), commands)
+    np.testing.assert_allclose(np.stack([joint["j1"], joint["j2"]], 1), positions)
+    np.testing.assert_allclose(joint["t"] - joint["t"][0], t - t[0], atol=1e-6)
+    np.testing.assert_allclose(cmd["t"][0] - joint["t"][0], late, atol=1e-6)
+
+
+def guessed(robot, logs):
+    files = log_files(logs)
+    return files, columns_of(SimpleNamespace(columns=None, yes=True), robot, files)
+
+
+def joint_states(csv):
+    """Messages of two topics: states in the order of another program, commands 3 ms later as efforts."""
+    for t, (shoulder, elbow), (q1, q2) in zip(*told(csv), strict=True):
+        for topic, names, late, values in (
+            ("/joint_states", ("elbow", "shoulder"), 0.0, {"position": [q2, q1], "velocity": [0.0, 0.0]}),
+            ("/joint_commands", ("shoulder", "elbow"), 0.003, {"effort": [shoulder, elbow]}),
+        ):
+            stamp = round(1e9 * (1.7e9 + t + late))
+            yield topic, stamp, {"header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}, "name": names, **values}
+
+
+def test_topics_of_a_recording_are_read_by_their_joints(arm, folder, sticky_logs):
+    from mcap.writer import Writer
+
+    path = folder / "swing.mcap"
+    with open(path, "wb") as file:
+        writer, channels = Writer(file), {}
+        writer.start()
+        for topic, stamp, message in joint_states(sticky_logs):
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic=topic, message_encoding="json", schema_id=0)
+            data = json.dumps(message).encode()
+            writer.add_message(channels[topic], log_time=stamp, publish_time=stamp, data=data)
+        writer.finish()
+    same_as_csv(read_robot(arm), path, sticky_logs, late=0.003)
+
+
+def test_bag_is_one_log(arm, folder, sticky_logs):
+    store = robot_recordings.types()
+    kinds, kind, messages = store.types, "sensor_msgs/msg/JointState", []
+    for topic, stamp, told_of in joint_states(sticky_logs):
+        time = kinds["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+        values = {key: np.array(told_of.get(key, []), float) for key in ("position", "velocity", "effort")}
+        header = kinds["std_msgs/msg/Header"](stamp=time, frame_id="")
+        message = kinds[kind](header=header, name=list(told_of["name"]), **values)
+        messages.append((topic, kind, stamp, bytes(store.serialize_cdr(message, kind))))
+    bags = folder / "bags"
+    robot_recordings.bag(bags / "swing", messages)
+    assert log_files(bags) == [bags / "swing"] and log_files(bags / "swing") == [bags / "swing"]
+    same_as_csv(read_robot(arm), bags, sticky_logs, late=0.003)
+
+
+def test_episodes_of_a_lerobot_set_are_logs(folder, sticky_logs):
+    """Position servos: `action` and `observation.state` are lists, named in info.json."""
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    names, root = ["shoulder.pos", "elbow.pos"], folder / "lerobot"
+    (root / "meta").mkdir(parents=True)
+    (root / "data" / "chunk-000").mkdir(parents=True)
+    features = {key: {"dtype": "float32", "names": names} for key in ("action", "observation.state")}
+    (root / "meta" / "info.json").write_text(json.dumps({"codebase_version": "v3.0", "fps": 250, "features": features}))
+    rows = [np.column_stack([np.full(len(t), k), t, u, q]) for k in (0, 1) for t, u, q in [told(sticky_logs, k)]]
+    whole = np.concatenate(rows)
+    table = {"episode_index": whole[:, 0].astype(int), "timestamp": whole[:, 1]}
+    table |= {"action": list(whole[:, 2:4]), "observation.state": list(whole[:, 4:6])}
+    pq.write_table(pa.table(table), root / "data" / "chunk-000" / "file-000.parquet")
+    servos = written(folder / "servos.xml", ARM.replace("<motor", "<position kp='5'"))
+    trials, broken = read_robot_logs(*guessed(read_robot(servos), root))
+    assert [trial.name for trial in trials] == ["file-000_episode_0", "file-000_episode_1"] and not broken
+    np.testing.assert_allclose(trials[1].table("joint")["j2"], told(sticky_logs, 1)[2][:, 1])
+    np.testing.assert_allclose(trials[1].table("cmd")["c1"], told(sticky_logs, 1)[1][:, 0])
+
+
+def test_import_of_a_robot_names_the_command_that_reads_it(arm, sticky_logs):
+    with pytest.raises(UsageError, match="gap find .* reads a robot's logs as they are"):
+        import_command.main([str(sticky_logs), "--model", str(arm)])
+
+
+def test_measured_commands_are_doubted():
+    joints = ("shoulder", "elbow")
+    columns = guess_columns(["t", "q1", "q2", "tau_meas1", "tau_des1", "tau_des2"], joints, joints, torques=True)
+    assert not columns.doubts()
+    current = columns._replace(actuator={"elbow": columns.actuator["elbow"].model_copy(update={"column": "current1"})})
+    assert "commands of elbow are measured" in current.doubts()[0]
+
+
+# ------------------------------------------------------------------------------------------------------------------ mistakes
+@pytest.fixture(scope="module")
+def described_arm(arm, sticky_logs):
+    return opened(arm, sticky_logs)
+
+
+def test_logs_without_a_mistake_are_let_in_although_an_effect_is_missing(described_arm):
+    robot, records = described_arm
+    assert mistakes(robot, records) == [] and doubts(robot, records) == []
+    refuse_mistakes(robot, records)
+
+
+PLANTED = (
+    "exchanging the positions of shoulder and elbow",
+    "exchanging the commands of shoulder and elbow",
+    "actuator elbow with its commands negated",
+    "joint elbow with its positions negated",
+    "joint shoulder turned by half a turn",
+)
+
+
+@pytest.mark.parametrize("what", PLANTED)
+def test_mistake_is_named_with_its_remedy(what, described_arm):
+    robot, records = described_arm
+    wrong = next(changed for name, _, changed in undone(robot, records) if name == what)
+    assert mistakes(robot, wrong)[0].what == what
+    with pytest.raises(LogError, match=r"--columns MAP.toml. If the logs are right, go on with --anyway"):
+        refuse_mistakes(robot, wrong)
+    refuse_mistakes(robot, wrong, anyway=True)
+
+
+def test_commands_on_another_clock_are_refused(arm, described_arm):
+    robot, records = described_arm
+    with pytest.raises(LogError, match="another clock"):
+        refuse_mistakes(robot, [r._replace(sent=r.sent - 0.4) for r in records])
+
+
+def test_readings_beyond_the_range_and_other_wraps_are_doubted(folder, described_arm):
+    _, records = described_arm
+    limited = written(
+        folder / "limited.xml",
+        edited(elbow_joint='range="2 3" limited="true"').replace("<option", "<compiler angle='radian'/><option"),
+    )
+    assert "beyond its range, 2 to 3" in doubts(read_robot(limited), records)[0]
+    values = records[0].joint.values.copy()
+    values[20:, 1] += 5.2
+    wrapped = records[0]._replace(joint=records[0].joint._replace(values=values))
+    assert any("wrap at another turn" in doubt for doubt in doubts(described_arm[0], [wrapped]))

@@ -18,6 +18,7 @@ from fishmj.base.store import write_text
 from fishmj.gap import progress
 from fishmj.gap.calibrate.robot_fit import KINDS, FittedNumber, RobotFit, described, fit_robot
 from fishmj.gap.commands import gap_options
+from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.commands.find_robot import read_logs
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.records.shooting import robot_records
@@ -30,7 +31,7 @@ def main(argv: list[str]) -> int:
     """The command `calibrate model`. Returns the exit code."""
     parser = console.parser("calibrate model", __doc__ or "")
     add = parser.add_argument
-    add("data", type=console.path, metavar="LOGS", help="a folder of CSV, Parquet or .npz, one a log")
+    add("data", type=console.path, metavar="LOGS", help="a folder of CSV, Parquet, .npz, MCAP or rosbag2; a LeRobot data set")
     add("--model", type=console.path, required=True, metavar="ROBOT.xml", help="MJCF or URDF (needed)")
     only = f"kinds to fit: some of {','.join(KINDS)} (default all)"
     add("--only", type=console.Listed(console.text, len(KINDS)), default=tuple(KINDS), metavar="KIND,..", help=only)
@@ -47,6 +48,7 @@ def main(argv: list[str]) -> int:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least {FEWEST} are needed, so that they can differ")
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     robot.check_contact(records)
+    refuse_mistakes(robot, records, anyway=True)
     again = interrupt.again("start again")
     with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
         found = fit_robot(robot, records, args.only, progress.terminal_bar)

@@ -16,6 +16,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap import progress
 from fishmj.gap.commands import reported
+from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, refuse_fish_options
 from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
@@ -61,15 +62,16 @@ def check_robot(args: Any) -> dict:
     files = log_files(args.data)
     columns = columns_of(args, parent, files)
     same = context is not None and logs_digest(files) == context.data_sha256
-    if same and context is not None:
-        files = [path for path in files if path.stem in context.judged]
-        if not files:
-            raise LogError(f"{args.data}: holds none of the logs that the search set aside: {', '.join(context.judged)}")
     trials, broken = read_robot_logs(files, columns)
+    if same and context is not None:
+        trials = [trial for trial in trials if trial.name in context.judged]
+        if not trials:
+            raise LogError(f"{args.data}: holds none of the logs that the search set aside: {', '.join(context.judged)}")
     for name, why in broken.items():
         console.warn(f"{name} left out: {why}")
     records = robot_records(trials, parent.dt, parent.sites("joint"))
     parent.check_contact(records)
+    refuse_mistakes(parent, records, anyway=True)
     found = compare(parent, version, records)
     fields = {"model": str(args.model), "parent": str(parent.path), "logs": [r.name for r in records], "same_data": same}
     return fields | found | {"skipped": broken}

@@ -1,7 +1,9 @@
 """`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
 
     fishmj gap find DATA --model my_fish.toml --out report
-    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF; LOGS is a folder of tables
+    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF
+
+LOGS, of such a robot: a folder of CSV, Parquet, .npz, MCAP or rosbag2, or a LeRobot data set; one a log.
 
 MAP.toml of --columns, for such a robot: time = "t"; [joint] elbow = { column = "q2", unit = "deg" }; [actuator] elbow = "tau2"
 

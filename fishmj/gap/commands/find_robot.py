@@ -1,6 +1,6 @@
 """`gap find LOGS --model robot.xml`: what is missing in the simulation of a robot described in MJCF or URDF.
 
-LOGS is a folder of tables, one a log: a column for each joint's position and each actuator's command (records/robot_logs.py).
+LOGS has a column for each joint's position and each actuator's command (records/robot_logs.py).
 """
 
 import hashlib
@@ -12,11 +12,20 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
+from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
 from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.null.robot_null import RobotNull
-from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
+from fishmj.gap.records.robot_logs import (
+    RobotColumns,
+    contents,
+    guess_columns,
+    log_files,
+    read_columns,
+    read_robot_logs,
+    read_sheet,
+)
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.unexplained_torque import with_measured_errors
@@ -75,16 +84,19 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
     """Columns of the map, or guessed, shown and confirmed. Raises LogError."""
     joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
     if args.columns:
-        return read_columns(args.columns, joints, actuators)
-    sheet = read_sheet(files[0])
-    torques = not robot.model.actuator_biasprm[:, 1].any()
-    try:
-        found = guess_columns(list(sheet.columns), joints, actuators, torques)
-    except LogError as error:
-        raise LogError(f"{sheet.where}: {error}") from error
-    console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
-    if not args.yes and not console.confirmed("Is that right?"):
-        raise LogError("the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+        found = read_columns(args.columns, joints, actuators)
+    else:
+        sheet = read_sheet(files[0])
+        torques = not robot.model.actuator_biasprm[:, 1].any()
+        try:
+            found = guess_columns(list(sheet.columns), joints, actuators, torques)
+        except LogError as error:
+            raise LogError(f"{sheet.where}: {error}") from error
+        console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
+        if not args.yes and not console.confirmed("Is that right?"):
+            raise LogError("the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+    for doubt in found.doubts():
+        console.warn(doubt)
     return found
 
 
@@ -95,6 +107,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
     robot.check_contact(seen)
+    refuse_mistakes(robot, seen, args.anyway)
     sizes = sizes_of(robot, seen)
     inert = RigidRobot(robot, sizes).inert(seen)
     if inert:
@@ -127,7 +140,7 @@ def digest(path: Path) -> str:
 
 def logs_digest(files: list[Path]) -> str:
     """sha256 of the logs' contents."""
-    return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+    return hashlib.sha256(b"".join(hashlib.sha256(contents(path)).digest() for path in files)).hexdigest()
 
 
 def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: Inquiry) -> dict:
