@@ -9,14 +9,15 @@ import pytest
 import robot_recordings
 from robot_arm import ARM, edited, write_logs
 
-from fishmj.base.errors import ConfigError, LogError, UsageError
+from fishmj.base.errors import ConfigError, LogError, UnknownName, UsageError
 from fishmj.gap.calibrate import robot_command
 from fishmj.gap.calibrate.robot_fit import described, fit_robot
-from fishmj.gap.commands import check
+from fishmj.gap.commands import check, next_experiment
 from fishmj.gap.commands.admit_robot import doubts, mistakes, refuse_mistakes, undone
 from fishmj.gap.commands.check_robot import ratio_of
 from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, read_logs
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.models.robot_excitation import FAMILIES, rest_of, safe_experiments
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs
 from fishmj.gap.records.shooting import robot_records
 from fishmj.log import import_command
@@ -293,3 +294,73 @@ def test_readings_beyond_the_range_and_other_wraps_are_doubted(folder, described
     values[20:, 1] += 5.2
     wrapped = records[0]._replace(joint=records[0].joint._replace(values=values))
     assert any("wrap at another turn" in doubt for doubt in doubts(described_arm[0], [wrapped]))
+
+
+# ------------------------------------------------------------------------------------------------------------- next experiment
+SPEED = 2.5  # rad/s
+LIMITED = ARM.replace("<option", "<compiler angle='radian'/><option").replace(
+    'damping="0.02"', 'damping="0.02" range="-1 1" limited="true"'
+)
+
+
+def test_experiments_stay_within_the_limits(folder):
+    robot = read_robot(written(folder / "limits.xml", LIMITED))
+    made = safe_experiments(robot, rest_of(robot, SPEED), FAMILIES, 4.0, SPEED, seed=1)
+    assert {"multisine", "steps", "holds"} <= {one.family for one in made}
+    for one in made:
+        assert np.abs(one.commands[:, 0]).max() <= 6.0 and np.abs(one.commands[:, 1]).max() <= 4.0
+        assert np.abs(one.v).max() <= SPEED and np.abs(one.q[:, 1]).max() <= 0.8 + 1e-6
+        assert np.ptp(one.q, 0).max() > 0.02 and np.abs(one.commands[0]).max() == np.abs(one.commands[-1]).max() == 0.0
+
+
+def test_arm_that_would_hit_a_plate_moves_less(folder):
+    plate = '<worldbody><geom type="box" size="0.02 0.5 0.5" pos="0.12 0 -0.5"/>'
+    text = ARM.replace("<worldbody>", plate).replace(
+        '<body name="lower"', '<geom type="sphere" size="0.02" pos="0 0 -0.3"/><body name="lower"'
+    )
+    free, beside = (read_robot(written(folder / f"plate{i}.xml", body)) for i, body in enumerate((ARM, text)))
+    ways = []
+    for robot in (free, beside):
+        (largest, *_) = safe_experiments(robot, rest_of(robot, SPEED), ("holds",), 4.0, SPEED, seed=1)
+        ways.append(np.sin(largest.q[:, 0]).min())
+    assert -0.3 * ways[1] < 0.12 < -0.3 * ways[0]
+
+
+def class_of(arm, effect, rival):
+    found = [{"name": effect[0], "parameters": {effect[1]: {"value": effect[2], "low": effect[2], "high": effect[2]}}}]
+    context = {"model": str(arm), "model_sha256": digest(arm)}
+    rivals = [{"name": rival, "instead_of": effect[0], "p_best": 0.4}]
+    return {"answer": "CLASS", "effects": found, "rivals": rivals, "context": context, "gap_before": 9.0, "gap_after": 1.0}
+
+
+def test_next_experiment_separates_what_differs_and_not_what_is_the_same(arm, tmp_path, capsys):
+    friction = class_of(arm, ("coulomb_friction@elbow", "torque", 0.05), "viscous_friction@elbow")
+    late = class_of(arm, ("command_latency", "delay", 0.02), "joint_sensor_delay")
+    best = []
+    for k, verdict in enumerate((friction, late)):
+        report = tmp_path / str(k)
+        report.mkdir()
+        (report / "verdict.json").write_text(json.dumps(verdict))
+        assert next_experiment.main([str(report), "--runs", "holds,multisine", "--seconds", "4", "--json"]) == 0
+        found = said(capsys)
+        best.append(found["experiments"][0]["sigma"])
+    assert best[0] > 10.0 and best[1] < 1.0 and "none decides" in found["advice"]
+
+
+def test_next_experiment_writes_commands_that_tell_the_numbers(arm, tmp_path, capsys):
+    out = tmp_path / "experiment.csv"
+    asked = [str(arm), "--runs", "holds", "--seconds", "3", "--out", str(out), "--json"]
+    assert next_experiment.main(asked) == 0
+    found = said(capsys)["experiments"]
+    assert found[0]["bits"] > 10.0 and found[0]["numbers told"] > 4
+    table = np.loadtxt(out, delimiter=",", skiprows=1)
+    assert out.read_text().startswith("t,cmd_shoulder,cmd_elbow\n") and np.allclose(np.diff(table[:, 0]), 0.01)
+    with pytest.raises(ConfigError, match="does not end in .csv"):
+        next_experiment.main(asked)
+
+
+def test_next_experiment_refuses_what_is_not_safe(arm, tmp_path):
+    with pytest.raises(ConfigError, match="no experiment is safe"):
+        next_experiment.main([str(arm), "--runs", "steps", "--seconds", "2", "--speed", "0.001"])
+    with pytest.raises(UnknownName, match="juggle"):
+        next_experiment.main([str(arm), "--runs", "juggle"])

@@ -16,12 +16,13 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_text
 from fishmj.gap import progress
-from fishmj.gap.calibrate.robot_fit import KINDS, FittedNumber, RobotFit, described, fit_robot
+from fishmj.gap.calibrate.robot_fit import FittedNumber, RobotFit, described, fit_robot
 from fishmj.gap.commands import gap_options
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.commands.find_robot import read_logs
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.search.free_numbers import KINDS
 from fishmj.gap.wording import level, number, percent, title
 
 FEWEST = 2  # logs

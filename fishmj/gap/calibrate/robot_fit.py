@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fishmj import effects
 from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.parameter_fit import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
 from fishmj.gap.models.rigid_robot import AT, RigidRobot, sizes_of
@@ -21,22 +20,10 @@ from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.search.fit import bounds
+from fishmj.gap.search.free_numbers import KINDS, FreeNumber, effects_of, free_numbers, stated
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.wording import title
 
-# kind -> (effects of the catalogue that hold it, constants of the model that do)
-KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "friction": (("coulomb_friction",), ()),
-    "damping": (("viscous_friction",), ()),
-    "armature": (("rotor_inertia",), ()),
-    "gain": (("servo_gain", "servo_damping_gain"), ()),
-    "delay": (("command_latency",), ()),
-    "bodies": ((), ("mass", "inertia", "centre")),
-}
-STATED = {"coulomb_friction": "dof_frictionloss", "viscous_friction": "dof_damping", "rotor_inertia": "dof_armature"}
-FACTORS = ("servo_gain", "servo_damping_gain")
-FACTOR_BOUNDS = (0.5, 2.0)  # of masses, inertias and centres
 TOLD = 0.5  # of sigma, or of the change; the largest standard deviation of a number that the logs tell
 STILL = 0.02  # rad or m, about a degree: the way of a joint that does not move
 TRADED = 0.8  # correlation from which two numbers trade with each other
@@ -80,7 +67,7 @@ def fit_robot(
 ) -> RobotFit:
     """Fits the numbers of some kinds. records: `RobotRecord`s. bars: of the fit. Raises LogError if no joint moves."""
     records = list(records)
-    listed = [effects.robot_catalogue()[name] for kind in kinds for name in KINDS[kind][0]]
+    listed = effects_of(kinds)
     sizes = sizes_of(robot, records)
     whole = RigidRobot(robot, sizes, listed)
     still = _still(robot, records)
@@ -90,7 +77,9 @@ def fit_robot(
     inert |= whole.inert(records) if listed else frozenset()
     model = RigidRobot(robot, sizes, listed, without=inert)
     layout = ResidualLayout(records)
-    places, parameters = _free(model, kinds)
+    free = free_numbers(model, kinds)
+    places = [n.place for n in free]
+    parameters = [FreeParameter(n.name, n.unit, n.start, n.step, n.low, n.high, n.sigma) for n in free]
     whiten = record_whitening(layout.noise(), model.record_errors(records, layout), layout.record)
 
     def rows(thetas: np.ndarray) -> np.ndarray:
@@ -106,9 +95,9 @@ def fit_robot(
     with bars(PERCENT, "fit", "%", at_most=True) as bar:
         found = fit(parameters, residual, blocks, tick=lambda share: bar.update(PERCENT * share))
         bar.update(PERCENT)
-    numbers = _numbers(model, parameters, found)
-    told = np.where([n.is_told for n in numbers], found.theta, [p.start for p in parameters])
-    three = np.stack([[p.start for p in parameters], told, found.theta])
+    numbers = _numbers(free, found)
+    told = np.where([n.is_told for n in numbers], found.theta, [n.start for n in free])
+    three = np.stack([[n.start for n in free], told, found.theta])
     raw = layout.residuals(model.predict(records, rows(three)))
     errors = {name: tuple(np.sqrt(np.nanmean(raw[:, layout.channel == name] ** 2, 1)).tolist()) for name in robot.sites("joint")}
     row = rows(told[None])[0]
@@ -123,60 +112,27 @@ def _still(robot: RobotDescription, records: list) -> set[str]:
     return {name for name, way in zip(robot.sites("joint"), moved, strict=True) if way < STILL}
 
 
-def _free(model: RigidRobot, kinds: Sequence[str]) -> tuple[list[int], list[FreeParameter]]:
-    """Places in the row, and the parameters, of the kinds."""
-    constants = {name for kind in kinds for name in KINDS[kind][1]}
-    limits = thresholds().fit
-    low, high, size = bounds(model)
-    places, out = [], []
-    for place, c in enumerate(model.constants):
-        if c.name.partition(AT)[0] in constants:
-            places.append(place)
-            out.append(FreeParameter(c.name, "1", 1.0, 0.3 * c.sigma, *FACTOR_BOUNDS, c.sigma))
-    for effect in model.active.effects:
-        for p in effect.parameters:
-            place = model.index(effect.name, p.name)
-            lowest = -_stated(model, effect.name) if effect.name.partition(AT)[0] not in FACTORS else low[place]
-            places.append(place)
-            step, sigma = limits.difference_step * size[place], limits.prior_sd * size[place]
-            out.append(FreeParameter(effect.name, p.unit, p.null, step, float(lowest), float(high[place]), float(sigma)))
-    return places, out
-
-
-def _stated(model: RigidRobot, name: str) -> float:
-    """The description's own value of an effect's number."""
-    kind, _, site = name.partition(AT)
-    if kind in FACTORS:
-        return 1.0
-    if kind not in STATED:
-        return float(model.robot.delays.min(initial=0.0)) if kind == "command_latency" else 0.0
-    joint = next(j for j in model.robot.joints if j.name == site)
-    return float(getattr(model.robot.model, STATED[kind])[joint.dof])
-
-
-def _numbers(model: RigidRobot, parameters: list[FreeParameter], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:
+def _numbers(free: list[FreeNumber], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:
     """The estimates as absolute values, and what the logs tell of them."""
-    estimates: list[ParameterEstimate] = [found.estimates[p.name] for p in parameters]
+    estimates: list[ParameterEstimate] = [found.estimates[n.name] for n in free]
     covariance = found.spreads["curvature"].covariance
     sd = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance) / np.maximum(np.outer(sd, sd), 1e-300)
     # A body beyond its tolerance makes up for what is not fitted: its change is no measure.
-    change = [0.0 if p.start == 1.0 else abs(e.value - p.start) for p, e in zip(parameters, estimates, strict=True)]
-    is_told = [e.sd <= TOLD * max(p.sigma, c) for p, e, c in zip(parameters, estimates, change, strict=True)]
+    change = [0.0 if n.is_factor else abs(e.value - n.start) for n, e in zip(free, estimates, strict=True)]
+    is_told = [e.sd <= TOLD * max(n.sigma, c) for n, e, c in zip(free, estimates, change, strict=True)]
     out = []
-    for k, (p, e) in enumerate(zip(parameters, estimates, strict=True)):
-        base = 0.0 if p.start == 1.0 else _stated(model, p.name)
-        others = [parameters[i] for i in np.flatnonzero(correlation[k] > TRADED) if i != k and not is_told[k]]
-        told = max(0.0, 1.0 - e.sd / p.sigma)
-        values = (base + p.start, base + e.value, base + e.low, base + e.high)
-        out.append(FittedNumber(p.name, p.unit, *values, told, bool(is_told[k]), tuple(o.name for o in others)))
+    for k, (n, e) in enumerate(zip(free, estimates, strict=True)):
+        others = [free[i].name for i in np.flatnonzero(correlation[k] > TRADED) if i != k and not is_told[k]]
+        values = (n.base + n.start, n.base + e.value, n.base + e.low, n.base + e.high)
+        out.append(FittedNumber(n.name, n.unit, *values, max(0.0, 1.0 - e.sd / n.sigma), bool(is_told[k]), tuple(others)))
     return tuple(out)
 
 
 def _inert(model: RigidRobot, name: str) -> FittedNumber:
     """An effect that no log shows."""
     p = next(e for e in model.active.effects if e.name == name).parameters[0]
-    base, sigma = _stated(model, name), thresholds().fit.prior_sd * abs(p.typical[1] - p.null)
+    base, sigma = stated(model, name), thresholds().fit.prior_sd * abs(p.typical[1] - p.null)
     return FittedNumber(name, p.unit, base, base, max(base - sigma, base + p.low), base + sigma, 0.0, False, (), True)
 
 
