@@ -20,7 +20,7 @@ from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.search.free_numbers import KINDS, FreeNumber, effects_of, free_numbers, stated
+from fishmj.gap.search.free_numbers import KINDS, OpenNumber, effects_of, free_numbers, stated
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.wording import title
 
@@ -112,7 +112,7 @@ def _still(robot: RobotDescription, records: list) -> set[str]:
     return {name for name, way in zip(robot.sites("joint"), moved, strict=True) if way < STILL}
 
 
-def _numbers(free: list[FreeNumber], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:
+def _numbers(free: list[OpenNumber], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:
     """The estimates as absolute values, and what the logs tell of them."""
     estimates: list[ParameterEstimate] = [found.estimates[n.name] for n in free]
     covariance = found.spreads["curvature"].covariance

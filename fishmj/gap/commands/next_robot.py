@@ -114,7 +114,7 @@ def pairs_of(verdict: dict) -> list[tuple[str, str]]:
 
 
 def record_of_experiment(robot: RobotDescription, one: RobotExperiment, seed: int) -> RobotRecord:
-    """What an encoder with a noise of NOISE would read in an experiment."""
+    """Record of an encoder with a noise of NOISE in an experiment."""
     noise = NOISE * np.random.default_rng([seed, 7]).standard_normal(one.q.shape)
     tables = {"cmd": {"t": one.t, **numbered("c#", one.commands)}, "joint": {"t": one.t, **numbered("j#", one.q + noise)}}
     trial = Trial({"origin": "synthetic"}, tables, name=one.family)

@@ -49,7 +49,7 @@ class RobotExperiment(NamedTuple):
 
 
 class RobotRest(NamedTuple):
-    """Where a robot begins. command: (A,) that holds it; span: (A,) largest change of each command on either side."""
+    """Start of a robot. command: (A,) that holds it; span: (A,) largest change of each command on either side."""
 
     qpos: np.ndarray
     command: np.ndarray

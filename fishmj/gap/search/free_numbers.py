@@ -25,7 +25,7 @@ STATED = {"coulomb_friction": "dof_frictionloss", "viscous_friction": "dof_dampi
 FACTORS = ("servo_gain", "servo_damping_gain")
 
 
-class FreeNumber(NamedTuple):
+class OpenNumber(NamedTuple):
     """One number. place: in the row, where `start` stands for the description. base: what to add to a row's entry for SI.
 
     step: of derivatives; low, high: of the row's entry; sigma: of the prior. is_factor: on a body, within its tolerance.
@@ -48,7 +48,7 @@ def effects_of(kinds: Sequence[str]) -> list[Effect]:
     return [effects.robot_catalogue()[name] for kind in kinds for name in KINDS[kind][0]]
 
 
-def free_numbers(model: RigidRobot, kinds: Sequence[str]) -> list[FreeNumber]:
+def free_numbers(model: RigidRobot, kinds: Sequence[str]) -> list[OpenNumber]:
     """The numbers of some kinds, in a model with `effects_of(kinds)`."""
     constants = {name for kind in kinds for name in KINDS[kind][1]}
     limits = thresholds().fit
@@ -56,14 +56,14 @@ def free_numbers(model: RigidRobot, kinds: Sequence[str]) -> list[FreeNumber]:
     out = []
     for place, c in enumerate(model.constants):
         if c.name.partition(AT)[0] in constants:
-            out.append(FreeNumber(place, c.name, "1", 0.0, 1.0, limits.difference_step, low[place], high[place], c.sigma, True))
+            out.append(OpenNumber(place, c.name, "1", 0.0, 1.0, limits.difference_step, low[place], high[place], c.sigma, True))
     for effect in model.active.effects:
         base = stated(model, effect.name)
         for p in effect.parameters:
             place = model.index(effect.name, p.name)
             lowest = low[place] if effect.name.partition(AT)[0] in FACTORS else -base
             step, sigma = limits.difference_step * size[place], limits.prior_sd * size[place]
-            out.append(FreeNumber(place, effect.name, p.unit, base, p.null, step, lowest, high[place], sigma, False))
+            out.append(OpenNumber(place, effect.name, p.unit, base, p.null, step, lowest, high[place], sigma, False))
     return out
 
 
