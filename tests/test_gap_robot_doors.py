@@ -1,6 +1,8 @@
 """Commands around the search of a robot in MJCF: check, calibration, import, next experiment. All logs are *synthetic*."""
 
 import json
+import sys
+import zipfile
 from types import SimpleNamespace
 
 import mujoco
@@ -9,18 +11,19 @@ import pytest
 import robot_recordings
 from robot_arm import ARM, edited, write_logs
 
-from fishmj.base.errors import ConfigError, LogError, UnknownName, UsageError
+from fishmj.base.errors import ConfigError, LogError, MissingExtra, UnknownName, UsageError
 from fishmj.gap.calibrate import robot_command
 from fishmj.gap.calibrate.robot_fit import described, fit_robot
 from fishmj.gap.commands import check, next_experiment
 from fishmj.gap.commands.admit_robot import doubts, mistakes, refuse_mistakes, undone
 from fishmj.gap.commands.check_robot import ratio_of
 from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, read_logs
-from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.models.robot_description import is_robot, read_robot, robot_file
 from fishmj.gap.models.robot_excitation import FAMILIES, rest_of, safe_experiments
-from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs
+from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
 from fishmj.log import import_command
+from fishmj.log.importers.torch_tensors import read_tensors
 
 pytest.importorskip("numba")
 
@@ -364,3 +367,95 @@ def test_next_experiment_refuses_what_is_not_safe(arm, tmp_path):
         next_experiment.main([str(arm), "--runs", "steps", "--seconds", "2", "--speed", "0.001"])
     with pytest.raises(UnknownName, match="juggle"):
         next_experiment.main([str(arm), "--runs", "juggle"])
+
+
+# ------------------------------------------------------------------------------------------------- other robots, other files
+def test_robot_of_the_menagerie_is_found_by_its_name(arm, monkeypatch):
+    class MenagerieError(Exception):
+        pass
+
+    def get(name):
+        if name != "arm":
+            raise MenagerieError(f"Unknown robot {name!r}.")
+        entry = SimpleNamespace(file=arm.name)
+        return SimpleNamespace(path=lambda: arm.parent, default_model="arm", entry=lambda which: entry)
+
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", SimpleNamespace(get=get, MenagerieError=MenagerieError))
+    assert robot_file("menagerie:arm") == arm and is_robot("menagerie:arm")
+    with pytest.raises(ConfigError, match="menagerie:leg: Unknown robot 'leg'"):
+        robot_file("menagerie:leg")
+
+
+def test_menagerie_without_its_package_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
+    with pytest.raises(MissingExtra, match=r'menagerie:arm needs mujoco-menagerie: pip install "fishmj\[menagerie\]"'):
+        robot_file("menagerie:arm")
+
+
+def test_a_base_that_is_fixed_touches_its_own_links(folder, arm, sticky_logs):
+    """MuJoCo leaves out contacts of a body with its parent, but not with a parent that is fixed to the world."""
+    base = '<body name="base"><geom type="sphere" size="0.1"/><body name="upper">'
+    text = ARM.replace('<body name="upper">', base + '<geom type="sphere" size="0.1"/>').replace(
+        "</worldbody>", "</body></worldbody>"
+    )
+    robot = read_robot(written(folder / "based.xml", text))
+    robot.check_contact(opened(arm, sticky_logs)[1])
+
+
+def tensor_file(path, pickled, **storages):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("log/data.pkl", pickled)
+        archive.writestr("log/byteorder", "little")
+        for key, values in storages.items():
+            archive.writestr(f"log/data/{key[1:]}", values.tobytes())
+    return path
+
+
+def tensor(key, count, size, stride):
+    """Opcodes of a tensor in data.pkl, protocol 2, as torch.save writes them."""
+    number = lambda n: b"J" + int(n).to_bytes(4, "little")
+    text = lambda word: b"X" + len(word).to_bytes(4, "little") + word.encode()
+    whole = lambda numbers: b"(" + b"".join(map(number, numbers)) + b"t"
+    storage = b"(" + text("storage") + b"ctorch\nFloatStorage\n" + text(key) + text("cpu") + number(count) + b"tQ"
+    rest = number(0) + whole(size) + whole(stride) + b"\x89ccollections\nOrderedDict\n)R"
+    return b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage + rest + b"tR"
+
+
+def entry(name, body):
+    return b"X" + len(name).to_bytes(4, "little") + name.encode() + body
+
+
+def test_tensors_are_read_without_their_pickle(tmp_path):
+    t, q = np.arange(3, dtype="<f4"), np.arange(6, dtype="<f4")
+    body = b"\x80\x02}(" + entry("time", tensor("0", 3, (3,), (1,))) + entry("dof_pos", tensor("1", 6, (3, 2), (2, 1))) + b"u."
+    path = tensor_file(tmp_path / "log.pt", body, s0=t, s1=q)
+    found = read_tensors(path)
+    np.testing.assert_array_equal(found["dof_pos"], q.reshape(3, 2))
+    assert list(read_sheet(path).columns) == ["time", "dof_pos_1", "dof_pos_2"]
+
+
+HOSTILE = {
+    "calls 'os system'": b"\x80\x02cos\nsystem\n(" + entry("id", b"") + b"tR.",
+    "a tensor of": b"\x80\x02}(" + entry("time", tensor("0", 3, (900,), (1,))) + b"u.",
+    "no dictionary of tensors": b"\x80\x02}.",
+    "holds": b"\x80\x02c__main__\nx\n)\x81.",
+}
+
+
+@pytest.mark.parametrize("says", HOSTILE)
+def test_file_of_more_than_tensors_is_refused(says, tmp_path):
+    path = tensor_file(tmp_path / "log.pt", HOSTILE[says], s0=np.zeros(3, "<f4"))
+    with pytest.raises(LogError, match=says):
+        read_tensors(path)
+    path.write_bytes(b"\x80\x02}.")
+    with pytest.raises(LogError, match="not of torch.save in its zip format"):
+        read_tensors(path)
+
+
+def test_an_only_log_is_cut_into_parts(arm, folder):
+    logs = write_logs(folder / "alone", ARM, logs=1, seconds=8.4)
+    robot, _, trials, _ = read_logs(SimpleNamespace(model=arm, data=logs, columns=None, yes=True))
+    assert [t.name for t in trials] == [f"swing0_part_{k}" for k in (1, 2, 3, 4)]
+    seconds = [float(np.ptp(t.table("joint")["t"])) for t in trials]
+    assert min(seconds) > 2.0 and sum(seconds) == pytest.approx(8.4, abs=0.05)
+    assert len(robot_records(trials, robot.dt, robot.sites("joint"))) == 4

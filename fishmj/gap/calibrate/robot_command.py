@@ -33,13 +33,13 @@ def main(argv: list[str]) -> int:
     parser = console.parser("calibrate model", __doc__ or "")
     add = parser.add_argument
     add("data", type=console.path, metavar="LOGS", help="a folder of CSV, Parquet, .npz, MCAP or rosbag2; a LeRobot data set")
-    add("--model", type=console.path, required=True, metavar="ROBOT.xml", help="MJCF or URDF (needed)")
+    add("--model", type=console.text, required=True, metavar="ROBOT.xml", help="MJCF or URDF, or menagerie:NAME (needed)")
     only = f"kinds to fit: some of {','.join(KINDS)} (default all)"
     add("--only", type=console.Listed(console.text, len(KINDS)), default=tuple(KINDS), metavar="KIND,..", help=only)
     gap_options.of_columns(add)
     add("--out", type=console.out_file, metavar="NEW.xml", help="MJCF to write, not there yet (default none)")
     args = parser.parse_args(argv)
-    gap_options.there(args.data, args.model, args.columns)
+    gap_options.there(args.data, args.columns)
     if unknown := [kind for kind in args.only if kind not in KINDS]:
         raise ConfigError(f"calibrate model: --only {unknown[0][:40]}: no such kind; known: {', '.join(KINDS)}")
     if args.out and (args.out.suffix != ".xml" or args.out.exists()):

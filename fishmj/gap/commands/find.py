@@ -1,7 +1,7 @@
 """`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
 
     fishmj gap find DATA --model my_fish.toml --out report
-    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF
+    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF, or menagerie:NAME
 
 LOGS, of such a robot: a folder of CSV, Parquet, .npz, MCAP or rosbag2, or a LeRobot data set; one a log.
 

@@ -15,12 +15,13 @@ from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
 from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
-from fishmj.gap.models.robot_description import RobotDescription, read_robot
+from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import (
     RobotColumns,
     contents,
     guess_columns,
+    in_parts,
     log_files,
     read_columns,
     read_robot_logs,
@@ -62,14 +63,14 @@ def find(args: Any) -> int:
 
 def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dict[str, str]]:
     """(robot, its logs' files, those that can be read, file's name -> why it cannot) of --model, the data and --columns."""
-    path = Path(args.model)
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
-    robot = read_robot(path)
+    robot = read_robot(robot_file(args.model))
     files = log_files(args.data)
     trials, broken = read_robot_logs(files, columns_of(args, robot, files))
     for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
         console.warn(note)
+    if len(trials) == 1 and len(parts := in_parts(trials[0])) > 1:
+        console.say(f"one log: cut into {len(parts)} parts, so that some can judge what is fitted to the others")
+        trials = parts
     return robot, files, trials, broken
 
 

@@ -1,6 +1,6 @@
 """Logs of a robot in MJCF: tables and recordings with any names -> trials, by the model's joints and actuators.
 
-    a folder of CSV, Parquet, .npz, MCAP, rosbag2     one a log; commands and positions may be topics with stamps of their own
+    a folder of CSV, Parquet, .npz, .pt, MCAP, rosbag2    one a log; commands and positions may be topics with stamps of their own
     a LeRobot data set                                data/**/*.parquet, a log an episode; elements named by meta/info.json
 
 A column of one of several topics is `/joint_states:joint.elbow`. Rates are estimated from positions; logged ones are not read.
@@ -34,7 +34,7 @@ from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare
 
 INFO = Path("meta") / "info.json"  # of a LeRobot data set
-SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz")
+SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz", ".pt")
 TIME = {"t", "time", "timestamp", "stamp", "seconds", "sec"}
 POSITION = {"pos", "position", "q", "angle", "ang", "theta", "qpos", "deg", "rad", "state", "states", "observation"}
 JOINT = {"joint", "joints"}
@@ -60,6 +60,7 @@ SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
 MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states"}
 CURRENT = {"current", "currents", "amp", "amps", "load", "pwm"}
 UNITS = {"deg": "deg", "degrees": "deg", "mrad": "mrad", "ms": "ms", "us": "us", "ns": "ns"}
+PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
 LARGEST = 60.0  # rad: a joint that turns further is taken for one in degrees
 
 
@@ -281,6 +282,23 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
             raise LogError(f"{table.where}: stamps {columns.time.column} do not rise; sort the rows, and remove doubles")
         tables[key] = {"t": t[keep], **numbered(template, values[keep])}
     return Trial({}, tables, name=table.name, notes=tuple(note for sheet in table.sheets for note in sheet.notes))
+
+
+def in_parts(log: Trial) -> list[Trial]:
+    """A long log as PARTS logs one after the other; a log shorter than that many times SHORTEST as it is."""
+    ends = [(t["t"][0], t["t"][-1]) for t in log.tables.values()]
+    begin, end = max(a for a, _ in ends), min(b for _, b in ends)
+    if end - begin < PARTS * SHORTEST:
+        return [log]
+    edges = np.linspace(begin, end, PARTS + 1)
+    out = []
+    for k in range(PARTS):
+        tables = {}
+        for name, table in log.tables.items():
+            first, last = np.searchsorted(table["t"], edges[k : k + 2])
+            tables[name] = {column: values[max(first - 1, 0) : last] for column, values in table.items()}
+        out.append(Trial(log.meta, tables, name=f"{log.name}_part_{k + 1}", notes=log.notes))
+    return out
 
 
 def _refuse_degrees(table: LogTable, columns: RobotColumns, moved: np.ndarray) -> None:
