@@ -33,8 +33,8 @@ PERCENT = 100
 class FittedNumber(NamedTuple):
     """One number of a description, SI, with its 90 % interval.
 
-    stated: of the description, a factor of 1 for gains and bodies. told: share of the prior's standard deviation that is gone.
-    traded: other numbers that could make up for it. inert: no log shows it at all.
+    stated: of the description, a factor of 1 for gains and bodies. told: share of the prior's standard deviation (or of the
+    change) that is gone. traded: other numbers that could make up for it. inert: no log shows it at all. bound: at which it ended.
     """
 
     name: str
@@ -47,6 +47,7 @@ class FittedNumber(NamedTuple):
     is_told: bool
     traded: tuple[str, ...] = ()
     inert: bool = False
+    bound: str = ""
 
 
 class RobotFit(NamedTuple):
@@ -120,12 +121,16 @@ def _numbers(free: list[OpenNumber], found: LeastSquaresFit) -> tuple[FittedNumb
     correlation = np.abs(covariance) / np.maximum(np.outer(sd, sd), 1e-300)
     # A body beyond its tolerance makes up for what is not fitted: its change is no measure.
     change = [0.0 if n.is_factor else abs(e.value - n.start) for n, e in zip(free, estimates, strict=True)]
-    is_told = [e.sd <= TOLD * max(n.sigma, c) for n, e, c in zip(free, estimates, change, strict=True)]
+    scale = [max(n.sigma, c) for n, c in zip(free, change, strict=True)]
+    # No friction is a value; another bound is where the search for one ended.
+    bound = [e.bound if e.bound == "upper" or n.low > -n.base else "" for n, e in zip(free, estimates, strict=True)]
+    is_told = [e.sd <= TOLD * size and not b for e, size, b in zip(estimates, scale, bound, strict=True)]
     out = []
     for k, (n, e) in enumerate(zip(free, estimates, strict=True)):
         others = [free[i].name for i in np.flatnonzero(correlation[k] > TRADED) if i != k and not is_told[k]]
         values = (n.base + n.start, n.base + e.value, n.base + e.low, n.base + e.high)
-        out.append(FittedNumber(n.name, n.unit, *values, max(0.0, 1.0 - e.sd / n.sigma), bool(is_told[k]), tuple(others)))
+        told = max(0.0, 1.0 - e.sd / scale[k])
+        out.append(FittedNumber(n.name, n.unit, *values, told, bool(is_told[k]), tuple(others), bound=bound[k]))
     return tuple(out)
 
 
@@ -142,4 +147,6 @@ def described(number: FittedNumber) -> str:
         return "left: no log shows it"
     if number.is_told:
         return "written"
+    if number.bound:
+        return f"left: at the {number.bound} bound of its range"
     return f"left: trades with {', '.join(map(title, number.traded))}" if number.traded else "left: the logs do not tell it"
