@@ -34,7 +34,7 @@ class FittedNumber(NamedTuple):
     """One number of a description, SI, with its 90 % interval.
 
     stated: of the description, a factor of 1 for gains and bodies. told: share of the prior's standard deviation (or of the
-    change) that is gone. traded: other numbers that could make up for it. inert: no log shows it at all. bound: at which it ended.
+    change) that is gone. traded: other numbers that could make up for it. inert: no log shows it. bound: where it ended.
     """
 
     name: str
