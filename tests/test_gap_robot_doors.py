@@ -316,6 +316,17 @@ def test_experiments_stay_within_the_limits(folder):
         assert np.ptp(one.q, 0).max() > 0.02 and np.abs(one.commands[0]).max() == np.abs(one.commands[-1]).max() == 0.0
 
 
+def test_servo_whose_zero_is_beyond_its_range_begins_inside_it(folder):
+    """As a knee does that cannot be straight."""
+    servos = (
+        LIMITED.replace('range="-1 1"', 'range="-2.7 -0.8"').replace("<motor", "<position kp='20' kv='1'").replace("-4 4", "-9 9")
+    )
+    robot = read_robot(written(folder / "knee.xml", servos))
+    made = safe_experiments(robot, rest_of(robot, SPEED), ("holds",), 4.0, SPEED, seed=1)
+    knee = made[0].q[:, 1]
+    assert -2.51 <= knee.min() and knee.max() <= -0.99 and np.ptp(knee) > 0.3
+
+
 def test_arm_that_would_hit_a_plate_moves_less(folder):
     plate = '<worldbody><geom type="box" size="0.02 0.5 0.5" pos="0.12 0 -0.5"/>'
     text = ARM.replace("<worldbody>", plate).replace(

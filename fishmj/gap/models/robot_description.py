@@ -75,7 +75,7 @@ class RobotDescription:
         for angles in np.concatenate([record.angles for record in records]):
             d.qpos[[j.place for j in self.joints]] = angles
             mujoco.mj_fwdPosition(m, d)
-            touching.append(any(c.dist < 0.0 and not _neighbours(m, *c.geom) for c in d.contact))
+            touching.append(any(c.dist < 0.0 and not neighbours(m, *c.geom) for c in d.contact))
         if np.mean(touching) > CONTACTS:
             often = f"bodies of {self.path.name} touch in {100 * np.mean(touching):.0f} % of the logged states"
             raise LogError(f"{often}, and the search leaves contacts out; record where it moves freely, or correct its geoms")
@@ -96,11 +96,11 @@ class RobotDescription:
         return RobotSite(model, body=self.bodies[name]) if kind == "body" else RobotSite(model)
 
 
-def _neighbours(m: Any, one: int, other: int) -> bool:
+def neighbours(m: Any, one: int, other: int) -> bool:
     """Returns True for geoms of a body and its parent, which MuJoCo itself leaves out unless the parent is fixed to the world."""
-    a, b = (int(m.body_weldid[m.geom_bodyid[geom]]) for geom in (one, other))
-    above = lambda body: int(m.body_weldid[m.body_parentid[body]])
-    return a == b or above(a) == b or above(b) == a
+    a, b = (int(m.geom_bodyid[geom]) for geom in (one, other))
+    above = lambda body: int(m.body_parentid[m.body_weldid[body]])
+    return a == b or above(a) == b != 0 or above(b) == a != 0
 
 
 def is_robot(model: object) -> bool:

@@ -1,6 +1,7 @@
 """Experiments for a robot in MJCF: commands within its limits, and the largest of them that keep it safe in simulation.
 
-    start      where the robot rests: torques off, or servos at its first key frame (else qpos0)
+    start      where the robot rests: torques off, or servos at its first key frame, else at qpos0 moved into the middle half of
+               each joint's range
     command    u0 + size * span * signal(t), faded in and out; span: to the nearest limit of ctrl, joint or force
     safe       each joint within its range less MARGIN (without one: half a turn from the start), below `speed`, nothing touches
                that did not touch at the start; with the described model and with half its friction
@@ -17,13 +18,14 @@ import numpy as np
 from mujoco import rollout
 
 from fishmj.base.errors import ConfigError
-from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.robot_description import RobotDescription, neighbours
 from fishmj.gap.progress import Bars, silent_bar
 
 FAMILIES = ("multisine", "chirp", "steps", "holds", "in_turn")
-MARGIN = 0.1  # of a joint's range
+MARGIN, MIDDLE = 0.1, 0.25  # of a joint's range, on either side of where it may go, and of where it starts
 TURN = np.pi  # rad or m from the start, without a range
 PERIOD = 0.01  # s between two commands
+LOOK = 0.02  # s between two looks at what touches
 FADE = 0.5  # s at the beginning and the end, in which commands grow and fade
 LOWEST, HIGHEST = 0.1, 2.0  # Hz of multisines
 FASTEST = 3.0  # Hz of a chirp's end
@@ -58,10 +60,13 @@ class RobotRest(NamedTuple):
 
 def rest_of(robot: RobotDescription, speed: float) -> RobotRest:
     """The start of an experiment. speed: largest of a joint, rad/s or m/s. Raises ConfigError if it does not come to rest."""
-    m = robot.spec.copy().compile()
+    m = _free(robot)
     d = mujoco.MjData(m)
     if m.nkey:
         mujoco.mj_resetDataKeyframe(m, d, 0)
+    for j in robot.joints:
+        if m.jnt_limited[j.joint] and not m.nkey:
+            d.qpos[j.place] = np.clip(d.qpos[j.place], *_inside(m, j.joint, MIDDLE))
     servo = m.actuator_biasprm[:, 1] != 0.0
     command = np.zeros(m.nu)
     for j in robot.joints:
@@ -90,7 +95,8 @@ def _spans(robot: RobotDescription, m: Any, d: Any, command: np.ndarray, low, hi
         if a < 0:
             continue
         gear = abs(m.actuator_gear[a, 0]) or 1.0
-        reach = min(np.ptp(m.jnt_range[j.joint]) / 2.0, TURN) if m.jnt_limited[j.joint] else TURN / 2.0
+        edges = np.abs(d.qpos[j.place] - _inside(m, j.joint)).min() if m.jnt_limited[j.joint] else TURN
+        reach = min(float(edges), TURN / 2.0)
         stiffness = -m.actuator_biasprm[a, 1]
         if stiffness > 0.0:
             span[a] = min(span[a], reach * gear * stiffness / abs(m.actuator_gainprm[a, 0]))
@@ -114,6 +120,18 @@ def _gravity(robot: RobotDescription, m: Any, dof: int) -> float:
         mujoco.mj_forward(m, d)
         most = max(most, abs(float(d.qfrc_bias[dof])))
     return most
+
+
+def _free(robot: RobotDescription) -> Any:
+    """MjModel without contacts, as the search takes it, with the delays of its actuators: a touch is looked for by itself."""
+    m = robot.spec.copy().compile()
+    m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return m
+
+
+def _inside(m: Any, joint: int, margin: float = MARGIN) -> np.ndarray:
+    """Range of a joint less a share of it on either side."""
+    return m.jnt_range[joint] + margin * np.ptp(m.jnt_range[joint]) * np.array([1.0, -1.0])
 
 
 def signal(family: str, joints: int, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -177,11 +195,11 @@ def experiment_at(
 ) -> RobotExperiment | None:
     """The experiment at a share of the span; None if it is not safe."""
     asked = rest.command + share * rest.span * shape
-    loose = robot.spec.copy().compile()
+    loose = _free(robot)
     loose.dof_damping[:] *= LOOSE
     loose.dof_frictionloss[:] *= LOOSE
     first = None
-    for m in (robot.spec.copy().compile(), loose, *others):
+    for m in (_free(robot), loose, *others):
         q, v, whole = _simulated(m, rest, t, asked)
         if not _is_safe(robot, m, rest, q, v, whole, speed):
             return None
@@ -210,18 +228,19 @@ def _is_safe(robot: RobotDescription, m: Any, rest: RobotRest, q: np.ndarray, v:
     for j in robot.joints:
         way = q[:, j.place]
         if m.jnt_limited[j.joint]:
-            low, high = m.jnt_range[j.joint] + MARGIN * np.ptp(m.jnt_range[j.joint]) * np.array([1.0, -1.0])
+            low, high = _inside(m, j.joint)
         else:
             low, high = rest.qpos[j.place] - TURN, rest.qpos[j.place] + TURN
         low, high = min(low, rest.qpos[j.place]), max(high, rest.qpos[j.place])
         if way.min() < low - 1e-6 or way.max() > high + 1e-6:
             return False
-    d = mujoco.MjData(m)
+    bodies = robot.spec.copy().compile()
+    d = mujoco.MjData(bodies)
     touching: set | None = None
-    for qpos in q[:: max(1, round(0.02 / m.opt.timestep))]:
+    for qpos in q[:: max(1, round(LOOK / m.opt.timestep))]:
         d.qpos[:] = qpos
-        mujoco.mj_fwdPosition(m, d)
-        pairs = {tuple(sorted(pair)) for pair, far in zip(d.contact.geom.tolist(), d.contact.dist, strict=True) if far < 0.0}
+        mujoco.mj_fwdPosition(bodies, d)
+        pairs = {tuple(sorted(c.geom.tolist())) for c in d.contact if c.dist < 0.0 and not neighbours(bodies, *c.geom)}
         touching = pairs if touching is None else touching
         if pairs - touching:
             return False
