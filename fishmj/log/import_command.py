@@ -74,7 +74,7 @@ def options() -> console.Parser:
     add("--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed")
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
     add("--format", type=console.text, help=f"{formats}; table: by its columns")
-    mjcf = "of a robot in MJCF: refused, since fishmj gap find reads its logs as they are"
+    mjcf = "of a robot in MJCF: refused, since fishmj gap find reads its logs as they are (default none)"
     add("--model", type=console.path, metavar="ROBOT.xml", help=mjcf)
     robot = "name, or the robot's TOML; stored in meta.robot with its joint count; default: not said"
     add("--robot", type=console.text, help=robot)
