@@ -46,6 +46,7 @@ def test_the_packages_that_run_this_test_are_right():
         "sysid",
         "bench",
         "tensorboard",
+        "menagerie",
         "docs",
         "dev",
     }

@@ -274,9 +274,17 @@ def test_the_command_says_what_came(made_up, server, capsys):
     assert json.loads(capsys.readouterr().out.strip().split("\n")[-1])["files"] == 3
 
 
-@pytest.mark.parametrize("name", ["servo_xl330", "tail_fish", "tendon_fish_markers", "usv_coastdown"])
+def test_a_file_may_have_another_name_at_its_source(made_up, server):
+    text = (fetch.FOLDER / "made_up.toml").read_text()
+    name = first(server).rpartition("/")[2].replace("%20", " ")
+    (fetch.FOLDER / "made_up.toml").write_text(text.replace(f'"{name}" = {{', f'"logs/one.csv" = {{ source = "{name}",'))
+    fetch.fetch("made_up", made_up, server.base)
+    assert (made_up / "logs" / "one.csv").read_bytes() == FILES[name]
+
+
+@pytest.mark.parametrize("name", fetch.names())
 def test_shipped_descriptions_are_complete(name):
     found = fetch.public_set(name)
-    assert found.files and bool(found.folder) != bool(found.archive) and found.licence in ("MIT", "Apache-2.0")
+    assert found.files and not (found.folder and found.archive) and found.licence in ("MIT", "Apache-2.0", "BSD-3-Clause")
     assert all(len(pin.sha256) == 64 and pin.bytes > 0 for pin in (*found.files, found.licence_file))
     assert found.commit == "HEAD" and found.note or len(found.commit) == 40

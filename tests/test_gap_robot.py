@@ -429,8 +429,8 @@ def test_commands_of_fish_refuse_a_robot_in_one_line(arm, tmp_path):
     log.write_text("t,pos1,pos2,cmd1,cmd2\n0,0,0,0,0\n0.01,0,0,0,0\n")
     with pytest.raises(ConfigError, match="--water is of fish"):
         find.main([str(log), "--model", str(arm.path), "--water", "swift"])
-    with pytest.raises(ConfigError, match="gap find .* says what it still lacks"):
-        check.main([str(arm.path), "--data", str(log)])
+    with pytest.raises(ConfigError, match="--same-robot is of fish"):
+        check.main([str(arm.path), "--data", str(log), "--same-robot"])
     with pytest.raises(LogError, match="--yes"):
         find.main([str(log), "--model", str(arm.path)])
 

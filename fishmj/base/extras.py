@@ -29,6 +29,7 @@ EXTRA_OF = {  # import name -> the extra that installs it
     "pyarrow": "logs",
     "rosbags": "logs",
     "ruamel": "logs",
+    "mujoco_menagerie": "menagerie",
     "pysindy": "bench",
     "pinocchio": "bench",
     "ray": "ray",

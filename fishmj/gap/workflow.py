@@ -56,6 +56,13 @@ class Inquiry:
         return self.found.folds[0]
 
     @property
+    def judged(self) -> list[str]:
+        """Names of the records that no decision saw; without such, of those outside the first fit."""
+        seen = [r.name for r, u in zip(self.records, self.unseen, strict=True) if not u]
+        apart = [r.name for r, u in zip(self.records, self.unseen, strict=True) if u]
+        return apart or [name for name, held in zip(seen, self.held, strict=True) if held]
+
+    @property
     def synthetic(self) -> bool:
         """True where a trial says that it was simulated."""
         return any(t.value("origin") == "synthetic" for t in self.trials)

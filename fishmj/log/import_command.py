@@ -74,6 +74,8 @@ def options() -> console.Parser:
     add("--topics", type=console.path, metavar="MAP.toml", help="MCAP, rosbag2: which topic is which table; default: guessed")
     formats = f"{', '.join(sorted([*importers.FORMATS, TABLE]))}, or your own as module:function; default: found out"
     add("--format", type=console.text, help=f"{formats}; table: by its columns")
+    mjcf = "of a robot in MJCF: refused, since fishmj gap find reads its logs as they are (default none)"
+    add("--model", type=console.path, metavar="ROBOT.xml", help=mjcf)
     robot = "name, or the robot's TOML; stored in meta.robot with its joint count; default: not said"
     add("--robot", type=console.text, help=robot)
     about = "name of the experiment, such as steps: of every trial, or of one; may be repeated; default: not said"
@@ -105,6 +107,9 @@ def main(argv: list[str]) -> int:
 
 
 def _run(args: Namespace) -> int:
+    if args.model is not None:
+        instead = f"fishmj gap find {args.source[0]} --model {args.model} reads a robot's logs as they are, without an import"
+        raise UsageError(f"log import: --model: {instead}")
     if args.out is None and args.write_map is None:
         raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")
     if args.out is not None and args.out.exists():

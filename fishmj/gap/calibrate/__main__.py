@@ -1,4 +1,4 @@
-"""Calibrate a fish against its logs: servo, latency, slip, water, mass."""
+"""Calibrate a fish against its logs: servo, latency, slip, water, mass; a robot in MJCF: model."""
 
 import argparse
 from functools import partial
@@ -143,6 +143,11 @@ main = console.CommandGroup(
             "fishmj calibrate water --data my_swims --out fish.calibrated.toml",
         ),
         "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
+        "model": Command(
+            "fishmj.gap.calibrate.robot_command",
+            "a robot in MJCF: friction, damping, armature, gains, delay, bodies, from its logs",
+            "fishmj calibrate model LOGS --model robot.xml --out robot.calibrated.xml",
+        ),
         "score": Command(
             "fishmj.gap.laboratory.hidden_lbm.sealed_score",
             "synthetic trials only: fitted against the sealed values",

@@ -81,7 +81,7 @@ def main(argv: list[str]) -> int:
     if written.hooks:
         console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
     if written.accepted and verdict:
-        console.say(f"search again with it: fishmj gap find {args.data or 'LOGS'} --model {written.path}")
+        console.say(f"compare it with its parent: fishmj gap check {written.path} --data {args.data or 'LOGS'}")
     elif written.accepted:
         console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
     if args.json:

@@ -35,15 +35,21 @@ def main(argv: list[str]) -> int:
     parser.add_argument("model", type=console.path, help="a version that gap apply or gap find wrote")
     parser.add_argument("--data", type=console.path, required=True, help="data set to replay (needed)")
     parser.add_argument("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
+    parent = "of a robot in MJCF: the description that it was made from; default: by verdict.json beside it"
+    parser.add_argument("--parent", type=console.path, metavar="ROBOT.xml", help=parent)
+    gap_options.of_columns(parser.add_argument)
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
-    gap_options.there(args.model, args.data)
+    gap_options.there(args.model, args.data, args.parent, args.columns)
     if is_robot(args.model):
-        told = f"fishmj gap find {args.data} --model {args.model} says what it still lacks"
-        raise ConfigError(f"gap check: a fish's version is checked; for a robot in MJCF, {told}")
-    found = check(args.model, args.data, args.same_robot)
-    console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
+        from fishmj.gap.commands import check_robot
+
+        found = check_robot.check_robot(args)
+        console.say(*check_robot.told(found))
+    else:
+        found = check(args.model, args.data, args.same_robot)
+        console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))
     if found["worse"]:
         console.say(f"FAILED: {found['worse']}")
     if args.json:

@@ -1,7 +1,9 @@
 """`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
 
     fishmj gap find DATA --model my_fish.toml --out report
-    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF; LOGS is a folder of tables
+    fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF, or menagerie:NAME
+
+LOGS, of such a robot: a folder of CSV, Parquet, .npz, MCAP or rosbag2, or a LeRobot data set; one a log.
 
 MAP.toml of --columns, for such a robot: time = "t"; [joint] elbow = { column = "q2", unit = "deg" }; [actuator] elbow = "tau2"
 
@@ -61,9 +63,7 @@ def main(argv: list[str]) -> int:
     most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
-    columns = "which column of a log of a robot in MJCF is which; default: guessed from the names"
-    add("--columns", type=console.path, metavar="MAP.toml", help=columns)
-    add("--yes", action="store_true", help="take the guessed columns without being asked")
+    gap_options.of_columns(add)
     own_effects.option(parser)
     args = parser.parse_args(argv)
     if is_robot(args.model):
@@ -155,13 +155,10 @@ def drawn_of(args) -> dict:
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
     """Hash of the search's inputs, and the records outside every decision (or outside every fit): the input of gap apply."""
-    apart = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if u]
-    seen = [r.name for r, u in zip(inquiry.records, inquiry.unseen, strict=True) if not u]
-    held = [name for name, h in zip(seen, inquiry.held, strict=True) if h]
     drawn = {"null": drawn_of(args), "water": args.water, "skipped": given.broken}
     hashes = {"model_sha256": model_version.digest(args.model), "data_sha256": given.sha256}
     model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)
-    return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": apart or held, **drawn}
+    return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": inquiry.judged, **drawn}
 
 
 def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:

@@ -1,6 +1,6 @@
 """`gap find LOGS --model robot.xml`: what is missing in the simulation of a robot described in MJCF or URDF.
 
-LOGS is a folder of tables, one a log: a column for each joint's position and each actuator's command (records/robot_logs.py).
+LOGS has a column for each joint's position and each actuator's command (records/robot_logs.py).
 """
 
 import hashlib
@@ -12,11 +12,21 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
+from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
 from fishmj.gap.models.rigid_robot import RigidRobot, coarsest, sizes_of
-from fishmj.gap.models.robot_description import RobotDescription, read_robot
+from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
 from fishmj.gap.null.robot_null import RobotNull
-from fishmj.gap.records.robot_logs import RobotColumns, guess_columns, log_files, read_columns, read_robot_logs, read_sheet
+from fishmj.gap.records.robot_logs import (
+    RobotColumns,
+    contents,
+    guess_columns,
+    in_parts,
+    log_files,
+    read_columns,
+    read_robot_logs,
+    read_sheet,
+)
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.unexplained_torque import with_measured_errors
@@ -24,6 +34,7 @@ from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
+from fishmj.log import Trial
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
 AGAIN = "the same command begins anew"
@@ -31,18 +42,8 @@ AGAIN = "the same command begins anew"
 
 def find(args: Any) -> int:
     """Answers the command. args: of `gap find`. Returns the exit code."""
-    for option, usual in FISH_ONLY.items():
-        if getattr(args, option, usual) not in (usual, []):
-            raise ConfigError(f"gap find: --{option.replace('_', '-')} is of fish; leave it out with --model {args.model}")
-    path = Path(args.model)
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file; expected a robot in MJCF or URDF")
-    robot = read_robot(path)
-    files = log_files(args.data)
-    columns = columns_of(args, robot, files)
-    trials, broken = read_robot_logs(files, columns)
-    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
-        console.warn(note)
+    refuse_fish_options(args, "gap find")
+    robot, files, trials, broken = read_logs(args)
     if len(trials) < 2:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
     with interrupt.keeping(lambda: AGAIN):
@@ -53,7 +54,7 @@ def find(args: Any) -> int:
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
             rest = dict(zip(robot.sites("joint"), inquiry.evidence.model.rest, strict=True))
-            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files) | {"rest": rest}})
+            write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files, inquiry) | {"rest": rest}})
             page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
             console.say(f"written: verdict.json, {page}")
     if args.json:
@@ -61,20 +62,43 @@ def find(args: Any) -> int:
     return console.OK
 
 
+def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dict[str, str]]:
+    """(robot, its logs' files, those that can be read, file's name -> why it cannot) of --model, the data and --columns."""
+    robot = read_robot(robot_file(args.model))
+    files = log_files(args.data)
+    trials, broken = read_robot_logs(files, columns_of(args, robot, files))
+    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
+        console.warn(note)
+    if len(trials) == 1 and len(parts := in_parts(trials[0])) > 1:
+        console.say(f"one log: cut into {len(parts)} parts, so that some can judge what is fitted to the others")
+        trials = parts
+    return robot, files, trials, broken
+
+
+def refuse_fish_options(args: Any, command: str) -> None:
+    """Raises ConfigError for an option that a robot in MJCF has not."""
+    for option, usual in FISH_ONLY.items():
+        if getattr(args, option, usual) not in (usual, []):
+            raise ConfigError(f"{command}: --{option.replace('_', '-')} is of fish; leave it out with {args.model}")
+
+
 def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotColumns:
     """Columns of the map, or guessed, shown and confirmed. Raises LogError."""
     joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
     if args.columns:
-        return read_columns(args.columns, joints, actuators)
-    sheet = read_sheet(files[0])
-    torques = not robot.model.actuator_biasprm[:, 1].any()
-    try:
-        found = guess_columns(list(sheet.columns), joints, actuators, torques)
-    except LogError as error:
-        raise LogError(f"{sheet.where}: {error}") from error
-    console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
-    if not args.yes and not console.confirmed("Is that right?"):
-        raise LogError("gap find: the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+        found = read_columns(args.columns, joints, actuators)
+    else:
+        sheet = read_sheet(files[0])
+        torques = not robot.model.actuator_biasprm[:, 1].any()
+        try:
+            found = guess_columns(list(sheet.columns), joints, actuators, torques)
+        except LogError as error:
+            raise LogError(f"{sheet.where}: {error}") from error
+        console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
+        if not args.yes and not console.confirmed("Is that right?"):
+            raise LogError("the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+    for doubt in found.doubts():
+        console.warn(doubt)
     return found
 
 
@@ -85,6 +109,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     records = robot_records(trials, robot.dt, robot.sites("joint"))
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
     robot.check_contact(seen)
+    refuse_mistakes(robot, seen, args.anyway)
     sizes = sizes_of(robot, seen)
     inert = RigidRobot(robot, sizes).inert(seen)
     if inert:
@@ -116,14 +141,19 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def context_of(args: Any, robot: RobotDescription, files: list[Path]) -> dict:
-    """Inputs of the search, for gap apply."""
-    whole = hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in files)).hexdigest()
+def logs_digest(files: list[Path]) -> str:
+    """sha256 of the logs' contents."""
+    return hashlib.sha256(b"".join(hashlib.sha256(contents(path)).digest() for path in files)).hexdigest()
+
+
+def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: Inquiry) -> dict:
+    """Inputs of the search, and the logs outside every decision (or outside every fit), for gap apply and gap check."""
     return {
         "model": str(robot.path.resolve()),
         "model_sha256": digest(robot.path),
         "data": str(args.data.resolve()),
-        "data_sha256": whole,
+        "data_sha256": logs_digest(files),
+        "judged": inquiry.judged,
         "null": {"runs": args.null_runs, "noise": args.noise, "seed": args.seed},
     }
 

@@ -27,6 +27,13 @@ def of_mass(add) -> None:
     add("--mass-unknown", action="store_true", help=f"{text} the model's mass counts as weighed, to 0.1 %%)")
 
 
+def of_columns(add) -> None:
+    """Adds --columns and --yes, of a robot in MJCF."""
+    columns = "which column of a log of a robot in MJCF is which; default: guessed from the names"
+    add("--columns", type=console.path, metavar="MAP.toml", help=columns)
+    add("--yes", action="store_true", help="take the guessed columns without being asked")
+
+
 def of_seed(add, what: str) -> None:
     """Adds --seed."""
     add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")

@@ -4,13 +4,16 @@ REPORT is the output of `gap find --out`; DATA a data set, which is searched fir
 with each explanation at its fitted values; the best separation for its duration comes first.
 
     fishmj gap next report --runs hinted
+    fishmj gap next report --out experiment.csv          of a robot in MJCF: commands within its limits, safe in simulation
+    fishmj gap next robot.xml --out experiment.csv       the same, to tell its friction, damping, armature, gains, delay, bodies
+    fishmj gap next LOGS --model robot.xml               the same, beside logs that are there already
 """
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError, UnknownName
 from fishmj.engines import own_effects
 from fishmj.gap import progress
-from fishmj.gap.commands import admission, gap_options, model_version
+from fishmj.gap.commands import admission, gap_options, model_version, reported
 from fishmj.gap.experiment import (
     LEFT,
     OPEN,
@@ -22,6 +25,7 @@ from fishmj.gap.experiment import (
     hypotheses_of,
     normalise_weights,
 )
+from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.datasets import BUNDLE, page_in
 from fishmj.gap.records.records import record_of
@@ -36,6 +40,16 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap next", __doc__)
     add = parser.add_argument
     add("source", type=console.path, metavar="REPORT|DATA", help="folder or verdict.json of `gap find --out`, or a data set")
+    add(
+        "--out",
+        type=console.out_file,
+        metavar="FILE.csv",
+        help="of a robot in MJCF: the best experiment's commands (default none)",
+    )
+    seconds, speed = console.number(2, 600), console.number(0.001, 1000)
+    add("--seconds", type=seconds, default=10.0, metavar="S", help="of a robot in MJCF: length, 2 to 600 s (default 10)")
+    add("--speed", type=speed, default=3.0, metavar="V", help="of a robot in MJCF: fastest joint, rad/s or m/s (default 3)")
+    gap_options.of_columns(add)
     add("--model", type=console.text, help="the model that was questioned; default, the one that the report names, else fish")
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
     which = "experiments: ids, all, or hinted, a quick look (default all)"
@@ -47,7 +61,11 @@ def main(argv: list[str]) -> int:
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
-    gap_options.there(args.source)
+    gap_options.there(args.source, args.columns)
+    if is_robot(args.source) or is_robot(args.model or "") or reported.is_of_robot(args.source):
+        from fishmj.gap.commands.next_robot import next_robot
+
+        return next_robot(args)
     null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
         answer, model, sides, like = _opened(args, null)
@@ -73,7 +91,6 @@ def _opened(args, null: SimulatedNull):
     """(answer, model, sides, a record) of a report or a data set."""
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
-        from fishmj.gap.commands import reported
         from fishmj.gap.laboratory.virtual_robot import generate
 
         verdict = reported.verdict(report, context=False)

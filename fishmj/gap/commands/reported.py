@@ -96,17 +96,27 @@ class _RobotEffect(_ReportTable):
     parameters: dict[str, _Value]
 
 
-class _RobotContext(_ReportTable):
+class _RobotRival(_ReportTable):
+    name: Text
+    instead_of: Text = ""
+
+
+class RobotContext(_ReportTable):
+    """Inputs of the search of a robot in MJCF. judged: names of the logs outside every decision, or outside every fit."""
+
     model: Text
     model_sha256: Sha256
     rest: dict[str, Finite] = {}
+    data_sha256: Text = ""
+    judged: list[Text] = []
 
 
 class _RobotVerdict(_ReportTable):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
     effects: list[_RobotEffect]
+    rivals: list[_RobotRival] = []
     by_effect: dict[str, Literal["NAMED", "CLASS"]] = {}
-    context: _RobotContext
+    context: RobotContext
     gap_before: Finite
     gap_after: Finite
     over_floor: dict[str, Annotated[list[Finite], Field(min_length=2, max_length=2)]] = {}
@@ -141,6 +151,12 @@ def verdict(report: Path, *, context: bool) -> dict[str, Any]:
 def of_robot(found: object) -> bool:
     """Returns True for the contents of a report on a robot in MJCF."""
     return isinstance(found, dict) and is_robot(look_up(found, "context.model", ""))
+
+
+def is_of_robot(report: Path) -> bool:
+    """Returns True for a report's folder or verdict.json on a robot in MJCF."""
+    path = report / "verdict.json" if report.is_dir() else report
+    return path.is_file() and path.suffix == ".json" and of_robot(read_json(path))
 
 
 def robot_verdict(report: Path) -> dict[str, Any] | None:

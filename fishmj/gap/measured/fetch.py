@@ -31,11 +31,12 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Pin:
-    """One file: its place, size and hash."""
+    """One file: its place here, size and hash. source: its path in the repository's folder; "": the same."""
 
     path: str
     sha256: str
     bytes: int
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def public_set(name: str) -> PublicSet:
     if name not in names():
         raise UnknownName("public data set", name, names())
     spec = read_toml(FOLDER / f"{name}.toml")
-    files = tuple(Pin(path, entry["sha256"], entry["bytes"]) for path, entry in spec["files"].items())
+    files = tuple(Pin(path, entry["sha256"], entry["bytes"], entry.get("source", "")) for path, entry in spec["files"].items())
     told = spec["licence_file"]
     return PublicSet(
         name=name,
@@ -120,9 +121,8 @@ def fetch(name: str, out: str | Path, base_url: str | None = None, *, say: Say |
     elif missing:
         for i, pin in enumerate(missing, start=1):
             tell(f"{name}: {i} of {len(missing)}: {pin.path} ({pin.bytes} bytes)")
-            data = download(
-                wanted.url(base, f"{wanted.folder}/{pin.path}"), out, f"{name}-{pin.sha256[:16]}", pin.sha256, pin.bytes
-            )
+            place = "/".join(part for part in (wanted.folder, pin.source or pin.path) if part)
+            data = download(wanted.url(base, place), out, f"{name}-{pin.sha256[:16]}", pin.sha256, pin.bytes)
             write_bytes(out / pin.path, data)
             received += len(data)
     notes += _licence(wanted, base, out)

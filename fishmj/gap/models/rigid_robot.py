@@ -430,18 +430,26 @@ class RigidRobot(ParameterRow):
 
 
 def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSizes:
-    """Usual torques, by the model's inverse dynamics at the starts of all segments, and rates."""
+    """Usual torques and rates at the starts of all segments.
+
+    A torque is the larger of what the motion needs, by the model's inverse dynamics, and what the actuators give for the commands
+    there: a light leg with much friction needs little and is given much.
+    """
     m, d = robot.model, mujoco.MjData(robot.model)
     places, dofs = [j.place for j in robot.joints], [j.dof for j in robot.joints]
-    torque, rate = [], []
+    needed, given, rate = [], [], []
     command = np.stack([np.percentile(np.abs(r.commands - r.commands.mean(0)), USUAL, axis=0) for r in records]).mean(0)
     for record in records:
-        for q, v, a in zip(record.angles, record.rates, record.accelerations, strict=True):
-            d.qpos[places], d.qvel[dofs], d.qacc[dofs] = q, v, a
+        held = np.maximum(np.searchsorted(record.sent, record.starts, side="right") - 1, 0)
+        for q, v, a, u in zip(record.angles, record.rates, record.accelerations, record.commands[held], strict=True):
+            d.qpos[places], d.qvel[dofs], d.qacc[dofs], d.ctrl[:] = q, v, a, u
             mujoco.mj_inverse(m, d)
-            torque.append(np.abs(d.qfrc_inverse[dofs]))
+            needed.append(np.abs(d.qfrc_inverse[dofs]))
+            mujoco.mj_fwdActuation(m, d)
+            given.append(np.abs(d.qfrc_actuator[dofs]))
             rate.append(np.abs(v))
-    return RobotSizes(np.percentile(torque, USUAL, axis=0), np.percentile(rate, USUAL, axis=0), command)
+    torque, driven, usual = (np.percentile(part, USUAL, axis=0) for part in (needed, given, rate))
+    return RobotSizes(np.maximum(torque, driven), usual, command)
 
 
 def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], without: frozenset[str]) -> int:

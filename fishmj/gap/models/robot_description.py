@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.errors import ConfigError, LogError, MissingExtra
 from fishmj.gap.models import joint_laws
 
 MOST_JOINTS = 12
 CONTACTS = 0.05  # share of the logged states in which bodies may touch
+MENAGERIE = "menagerie:"  # before the name of a robot of the package mujoco-menagerie
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
@@ -75,7 +76,7 @@ class RobotDescription:
         for angles in np.concatenate([record.angles for record in records]):
             d.qpos[[j.place for j in self.joints]] = angles
             mujoco.mj_fwdPosition(m, d)
-            touching.append(any(d.contact.dist < 0.0))
+            touching.append(any(c.dist < 0.0 and not neighbours(m, *c.geom) for c in d.contact))
         if np.mean(touching) > CONTACTS:
             often = f"bodies of {self.path.name} touch in {100 * np.mean(touching):.0f} % of the logged states"
             raise LogError(f"{often}, and the search leaves contacts out; record where it moves freely, or correct its geoms")
@@ -100,9 +101,39 @@ class RobotDescription:
         return RobotSite(model, body=self.bodies[name]) if kind == "body" else RobotSite(model)
 
 
+def neighbours(m: Any, one: int, other: int) -> bool:
+    """Returns True for geoms of a body and its parent, which MuJoCo itself leaves out unless the parent is fixed to the world."""
+    a, b = (int(m.geom_bodyid[geom]) for geom in (one, other))
+    above = lambda body: int(m.body_parentid[m.body_weldid[body]])
+    return a == b or above(a) == b != 0 or above(b) == a != 0
+
+
 def is_robot(model: object) -> bool:
-    """Returns True if a model is a file in MJCF or URDF by its name."""
-    return Path(str(model)).suffix.lower() in SUFFIXES
+    """Returns True if a model is a file in MJCF or URDF by its name, or `menagerie:NAME`."""
+    return str(model).startswith(MENAGERIE) or Path(str(model)).suffix.lower() in SUFFIXES
+
+
+def robot_file(model: object) -> Path:
+    """The file of a robot: a path, or `menagerie:NAME`, which is downloaded at its first use.
+
+    Raises:
+        MissingExtra: the package mujoco-menagerie is absent. ConfigError: no such robot or file, or no download.
+    """
+    name = str(model)
+    if not name.startswith(MENAGERIE):
+        if not Path(name).is_file():
+            raise ConfigError(f"{name}: no such file; expected a robot in MJCF or URDF, or {MENAGERIE}NAME")
+        return Path(name)
+    try:
+        import mujoco_menagerie as menagerie
+    except ImportError as error:
+        raise MissingExtra("mujoco-menagerie", "menagerie", name) from error
+    try:
+        robot = menagerie.get(name.removeprefix(MENAGERIE))
+        return Path(robot.path()) / robot.entry(robot.default_model).file
+    except (menagerie.MenagerieError, OSError) as error:
+        why = " ".join(str(error).split()).rstrip(".")
+        raise ConfigError(f"{name}: {why}; `mujoco-menagerie names` lists the robots") from error
 
 
 def name_of(m, kind: str, number: int) -> str:

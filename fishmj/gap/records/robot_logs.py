@@ -1,4 +1,9 @@
-"""Logs of a robot in MJCF: tables with any column names -> trials, by the model's joints and actuators.
+"""Logs of a robot in MJCF: tables and recordings with any names -> trials, by the model's joints and actuators.
+
+    a folder of CSV, Parquet, .npz, .pt, MCAP, rosbag2    one a log; commands and positions may be topics with stamps of their own
+    a LeRobot data set                                data/**/*.parquet, a log an episode; elements named by meta/info.json
+
+A column of one of several topics is `/joint_states:joint.elbow`. Rates are estimated from positions; logged ones are not read.
 
 MAP.toml says which column is which; without one the columns are guessed from their names, and the guess is shown:
 
@@ -24,19 +29,38 @@ from pydantic import ValidationError
 from fishmj.base.errors import FishmjError, LogError
 from fishmj.log import Trial, numbered
 from fishmj.log.importers.column_map import Column, Stamp, map_table
-from fishmj.log.importers.gather import read_sheets
+from fishmj.log.importers.gather import is_recording, read_sheets
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz")
+INFO = Path("meta") / "info.json"  # of a LeRobot data set
+SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz", ".pt")
 TIME = {"t", "time", "timestamp", "stamp", "seconds", "sec"}
-POSITION = {"pos", "position", "q", "angle", "ang", "theta", "qpos", "deg", "rad", "state", "observation"}
-ASKED = {"cmd", "command", "commanded", "ctrl", "control", "con", "des", "desired", "target", "ref", "goal", "setpoint", "action"}
+POSITION = {"pos", "position", "q", "angle", "ang", "theta", "qpos", "deg", "rad", "state", "states", "observation"}
+JOINT = {"joint", "joints"}
+ASKED = {
+    "cmd",
+    "command",
+    "commands",
+    "commanded",
+    "ctrl",
+    "control",
+    "con",
+    "des",
+    "desired",
+    "target",
+    "ref",
+    "goal",
+    "setpoint",
+    "action",
+}
 TORQUE = {"tau", "torque", "effort", "nm"}
 OTHERS = {"vel", "velocity", "dq", "qd", "qvel", "acc", "qacc", "fric", "temp", "temperature", "current", "voltage", "error"}
 SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
-MEASURED = {"meas", "measured", "actual", "act", "present"}
+MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states"}
+CURRENT = {"current", "currents", "amp", "amps", "load", "pwm"}
 UNITS = {"deg": "deg", "degrees": "deg", "mrad": "mrad", "ms": "ms", "us": "us", "ns": "ns"}
+PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
 LARGEST = 60.0  # rad: a joint that turns further is taken for one in degrees
 
 
@@ -53,6 +77,11 @@ class RobotColumns(NamedTuple):
         out = [f"{self.time.column} -> time{unit(self.time, 's')}"]
         out += [f"{c.column} -> position of {name}{unit(c, 'rad or m')}" for name, c in self.joint.items()]
         return out + [f"{c.column} -> command of {name}" for name, c in self.actuator.items()]
+
+    def doubts(self) -> list[str]:
+        """Warnings about commands that were measured: a current times a constant is a torque only as far as the constant is."""
+        measured = [name for name, c in self.actuator.items() if _words(str(c.column)) & (MEASURED | CURRENT)]
+        return [f"commands of {', '.join(measured)} are measured, not sent: their gain is that of a sensor"] if measured else []
 
 
 def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str]) -> RobotColumns:
@@ -110,9 +139,9 @@ def _unit(column: str) -> str:
 
 
 def _position_score(words: set[str]) -> int:
-    if not words & POSITION or words & (ASKED | TORQUE | OTHERS):
+    if not words & (POSITION | JOINT) or words & (ASKED | TORQUE | OTHERS):
         return 0
-    return 2 + 2 * bool(words & MEASURED) - bool(words & SMOOTHED)
+    return 2 + bool(words & POSITION) + 2 * bool(words & MEASURED) - bool(words & SMOOTHED)
 
 
 def _command_score(words: set[str], torques: bool) -> int:
@@ -160,55 +189,140 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def log_files(data: Path) -> list[Path]:
-    """Tables of a folder, or one file. Raises LogError if there is none."""
-    files = sorted(p for p in data.iterdir() if p.suffix.lower() in SUFFIXES) if data.is_dir() else [data]
+    """Files of logs: of a folder, of a LeRobot data set, or the one file or bag itself. Raises LogError if there is none."""
+    if not data.is_dir() or is_recording(data):
+        return [data]
+    if (data / INFO).is_file():
+        if files := sorted((data / "data").rglob("*.parquet")):
+            return files
+        raise LogError(f"{data}: a LeRobot data set without data/**/*.parquet; download its data, too")
+    files = sorted(p for p in data.iterdir() if p.suffix.lower() in SUFFIXES or is_recording(p))
     if not files:
-        raise LogError(f"{data}: no log; expected a folder of tables ({', '.join(SUFFIXES)}), one a log")
+        kinds = f"{', '.join(SUFFIXES)}, MCAP, rosbag2"
+        raise LogError(f"{data}: no log; expected a folder of logs ({kinds}), one a log, or a LeRobot data set")
     return files
 
 
-def read_sheet(path: Path) -> Sheet:
-    """One table. Raises LogError."""
+def contents(path: Path) -> bytes:
+    """Bytes of a log, of all files of a bag."""
+    return b"".join(p.read_bytes() for p in sorted(path.iterdir()) if p.is_file()) if path.is_dir() else path.read_bytes()
+
+
+class LogTable(NamedTuple):
+    """One log as read: the sheets of a table or the topics of a recording."""
+
+    name: str
+    sheets: tuple[Sheet, ...]
+
+    @property
+    def where(self) -> str:
+        """The file, and what in it."""
+        return self.sheets[0].where if len(self.sheets) == 1 else str(self.sheets[0].path)
+
+    @property
+    def columns(self) -> dict[str, tuple[Sheet, str]]:
+        """Column -> its sheet and its name there. With several sheets a column has its sheet's name in front, stamps aside."""
+        if len(self.sheets) == 1:
+            return {name: (self.sheets[0], name) for name in self.sheets[0].columns}
+        return {
+            name if _words(name) & TIME else f"{sheet.name}:{name}": (sheet, name)
+            for sheet in self.sheets
+            for name in sheet.columns
+        }
+
+    def read(self, stamp: Stamp, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
+        """Stamps (T,) s and values (T, C) SI of columns of one sheet. Raises LogError: one is missing, or in another sheet."""
+        known = self.columns
+        missing = [c.column for c in columns if c.column not in known]
+        if missing:
+            raise LogError(f"{self.where}: no column {missing[0]!r}; it has {_listed(list(known))}")
+        found = [known[str(c.column)] for c in columns]
+        sheet = found[0][0]
+        if any(other is not sheet for other, _ in found):
+            topics = ", ".join(dict.fromkeys(other.name for other, _ in found))
+            raise LogError(f"{self.where}: {topics}: columns of one table are in several topics; expected them in one")
+        clock = stamp.column if stamp.column in sheet.columns else next((n for n in sheet.columns if _words(n) & TIME), "")
+        if clock not in sheet.columns:
+            raise LogError(f"{sheet.where}: no column {stamp.column!r} of stamps; it has {_listed(list(sheet.columns))}")
+        values = [
+            c.factor * (np.asarray(sheet.columns[name], float) - c.zero) for c, (_, name) in zip(columns, found, strict=True)
+        ]
+        return np.asarray(sheet.columns[clock], float) * stamp.factor, np.stack(values, 1)
+
+
+def log_tables(path: Path) -> list[LogTable]:
+    """The logs of a file: one, or one for each episode. Raises LogError."""
     sheets = read_sheets(path)
-    if len(sheets) != 1:
-        raise LogError(f"{path}: holds {len(sheets)} tables; expected one log a file")
-    return sheets[0]
+    if any(sheet.episode is None for sheet in sheets):
+        return [LogTable(path.stem, tuple(sheets))]
+    alone = len(sheets) == 1
+    return [LogTable(path.stem if alone else f"{path.stem}_episode_{sheet.episode}", (sheet,)) for sheet in sheets]
 
 
-def robot_trial(sheet: Sheet, columns: RobotColumns) -> Trial:
+def read_sheet(path: Path) -> LogTable:
+    """The first log of a file. Raises LogError."""
+    return log_tables(path)[0]
+
+
+def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     """One log: commands by actuator (c#) and positions by joint (j#), SI.
 
     Raises:
         LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
-    wanted = [columns.time.column, *(str(c.column) for part in (columns.joint, columns.actuator) for c in part.values())]
-    missing = [column for column in wanted if column not in sheet.columns]
-    if missing:
-        raise LogError(f"{sheet.where}: no column {missing[0]!r}; it has {_listed(list(sheet.columns))}")
-    t = np.asarray(sheet.columns[columns.time.column], float) * columns.time.factor
-    read = lambda c: c.factor * (np.asarray(sheet.columns[c.column], float) - c.zero)
-    moved, asked = (np.stack([read(c) for c in part.values()], 1) for part in (columns.joint, columns.actuator))
-    for (name, c), values in zip(columns.joint.items(), moved.T, strict=True):
-        if np.nanmax(np.abs(values), initial=0.0) > LARGEST:
-            far = f"joint {name} turns to {np.nanmax(np.abs(values)):.3g} rad"
-            raise LogError(f"{sheet.where}: {far}; is {c.column} in degrees? State its unit in a map, --columns MAP.toml")
     tables = {}
-    for table, template, values in (("cmd", "c#", asked), ("joint", "j#", moved)):
+    for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
+        t, values = table.read(columns.time, list(part.values()))
+        if key == "joint":
+            _refuse_degrees(table, columns, values)
         keep = np.isfinite(t) & np.isfinite(values).all(1)
-        if keep.sum() < 2 or not np.all(np.diff(t[keep]) > 0):
-            raise LogError(f"{sheet.where}: stamps {columns.time.column} do not rise; sort the rows, and remove doubles")
-        tables[table] = {"t": t[keep], **numbered(template, values[keep])}
-    return Trial({}, tables, name=sheet.path.stem, notes=sheet.notes)
+        if keep.sum() < 2:
+            raise LogError(f"{table.where}: {keep.sum()} rows have all of {_listed([str(c.column) for c in part.values()])}")
+        if not np.all(np.diff(t[keep]) > 0):
+            raise LogError(f"{table.where}: stamps {columns.time.column} do not rise; sort the rows, and remove doubles")
+        tables[key] = {"t": t[keep], **numbered(template, values[keep])}
+    return Trial({}, tables, name=table.name, notes=tuple(note for sheet in table.sheets for note in sheet.notes))
+
+
+def in_parts(log: Trial) -> list[Trial]:
+    """A long log as PARTS logs one after the other; a log shorter than that many times SHORTEST as it is."""
+    ends = [(t["t"][0], t["t"][-1]) for t in log.tables.values()]
+    begin, end = max(a for a, _ in ends), min(b for _, b in ends)
+    if end - begin < PARTS * SHORTEST:
+        return [log]
+    edges = np.linspace(begin, end, PARTS + 1)
+    out = []
+    for k in range(PARTS):
+        tables = {}
+        for name, table in log.tables.items():
+            first, last = np.searchsorted(table["t"], edges[k : k + 2])
+            tables[name] = {column: values[max(first - 1, 0) : last] for column, values in table.items()}
+        out.append(Trial(log.meta, tables, name=f"{log.name}_part_{k + 1}", notes=log.notes))
+    return out
+
+
+def _refuse_degrees(table: LogTable, columns: RobotColumns, moved: np.ndarray) -> None:
+    for (name, c), values in zip(columns.joint.items(), moved.T, strict=True):
+        far = np.nanmax(np.abs(values), initial=0.0)
+        if far > LARGEST:
+            unit = f"is {c.column} in degrees, or in a scale of its own as -100 to 100? State its unit or scale"
+            raise LogError(f"{table.where}: joint {name} turns to {far:.3g} rad; {unit} in a map, --columns MAP.toml")
 
 
 def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:
-    """(logs, file's name -> why it was left out). Raises LogError if none can be read."""
+    """(logs, name -> why it was left out). Raises LogError if none can be read."""
     logs, broken = [], {}
     for path in files:
         try:
-            logs.append(robot_trial(read_sheet(path), columns))
+            tables = log_tables(path)
         except (FishmjError, OSError) as error:
             broken[path.name] = " ".join(str(error).split())
+            continue
+        for table in tables:
+            try:
+                logs.append(robot_trial(table, columns))
+            except FishmjError as error:
+                broken[path.name if len(tables) == 1 else table.name] = " ".join(str(error).split())
     if not logs:
         raise LogError(next(iter(broken.values())))
     return logs, broken

@@ -54,7 +54,7 @@ def next_step(inquiry: Inquiry) -> str:
                 if c.other == b:
                     return f"{title(a)} or {title(b)}: {c.separates}."
     if v.answer == "CLASS":
-        return "Record a motion in which the listed effects differ: another speed, load or pose."
+        return "Record a motion in which the listed effects differ: `fishmj gap next REPORT --out experiment.csv` writes one."
     if v.answer == "UNEXPLAINED":
         return "Look at the joint and the motion in which the residual lies, and at the torques that nothing explains."
     return "Nothing to add." if v.answer == "AGREES" else "Record more replicates."

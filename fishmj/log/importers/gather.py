@@ -18,7 +18,7 @@ from fishmj.base import console, names
 from fishmj.base.errors import FishmjError, LogError, UsageError
 from fishmj.log.importers import delimited, guess, mcap, message_recordings, other_files, rosbag2
 from fishmj.log.importers.quaternion import with_headings
-from fishmj.log.importers.sheet import NPZ, PARQUET, Sheet, read_parquet, read_tables
+from fishmj.log.importers.sheet import NPZ, PARQUET, TORCH, Sheet, read_parquet, read_tables
 from fishmj.log.limits import bare, most_bytes, quoted, regular
 from fishmj.log.trial import TABLES, Trial
 from fishmj.log.trial_folder import FLAT_FILE, META_FILE, read_trial
@@ -26,7 +26,7 @@ from fishmj.log.trial_folder import FLAT_FILE, META_FILE, read_trial
 SOON = 5.0  # s before progress shows
 DEEP = 12  # folders in folders
 MANY = 100_000  # files
-TABLE_FILES = (*delimited.SUFFIXES, *PARQUET, *NPZ)
+TABLE_FILES = (*delimited.SUFFIXES, *PARQUET, *NPZ, *TORCH)
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ def read_sheets(path: Path) -> list[Sheet]:
     suffix = path.suffix.lower()
     text = suffix in delimited.SUFFIXES or not suffix
     regular(path)
-    if suffix not in (*PARQUET, *NPZ) and (kind := other_files.kind_of(path, text=text)):
+    if suffix not in (*PARQUET, *NPZ, *TORCH) and (kind := other_files.kind_of(path, text=text)):
         raise LogError(f"{path}: {other_files.advice(path, kind)}")
     if suffix in PARQUET:
         return read_parquet(path)
-    if suffix in NPZ:
+    if suffix in (*NPZ, *TORCH):
         return read_tables(path)
     if text:
         return [delimited.read(path)]

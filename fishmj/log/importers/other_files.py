@@ -44,7 +44,7 @@ _ENDS = {
     **dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc"), "hdf5"),
     **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".xlsb", ".ods", ".numbers"), "workbook"),
     **dict.fromkeys((".npy",), "numpy"),
-    **dict.fromkeys((".pkl", ".pickle", ".joblib", ".pt"), "pickle"),
+    **dict.fromkeys((".pkl", ".pickle", ".joblib"), "pickle"),
     **dict.fromkeys((".feather", ".arrow"), "feather"),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), "json"),
     **dict.fromkeys((".yaml", ".yml"), "yaml"),

@@ -1,7 +1,7 @@
 """Common result of the readers of foreign files: columns of numbers under the lab's own names.
 
-Binary tables are read here: Parquet (extra `logs`) and `.npz` archives of one array a column. Their unpacked size is checked
-first.
+Binary tables are read here: Parquet (extra `logs`), and `.npz` archives or tensors of one array a column. Their unpacked
+size is checked first.
 """
 
 import json
@@ -12,6 +12,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.base.store import read_npz
+from fishmj.log.importers.torch_tensors import read_tensors
 from fishmj.log.limits import COLUMNS, DAMAGE, bare, check_size, listed, quoted, regular
 from fishmj.log.trial import Table
 
@@ -72,6 +73,7 @@ def checked(sheet: Sheet) -> Sheet:
 
 PARQUET = (".parquet", ".pq")
 NPZ = (".npz",)
+TORCH = (".pt", ".pth")
 
 
 def read_parquet(path: Path) -> list[Sheet]:
@@ -205,7 +207,7 @@ def _numbers(pa, values) -> np.ndarray:
 
 
 def read_tables(path: Path) -> list[Sheet]:
-    """Reads an `.npz` as a sheet for each length of its arrays.
+    """Reads an `.npz`, or tensors of `torch.save`, as a sheet for each length of its arrays.
 
     Arrays (T,) become columns, (T, K) become name_1..name_K; others are noted.
 
@@ -213,7 +215,7 @@ def read_tables(path: Path) -> list[Sheet]:
         StoreError: damaged or pickled. LogError: no columns.
     """
     regular(path)
-    read = read_npz(path, widened=True)
+    read = read_tensors(path) if path.suffix.lower() in TORCH else read_npz(path, widened=True)
     found: dict[int, Table] = {}
     notes = []
     for name, value in read.items():

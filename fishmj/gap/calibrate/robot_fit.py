@@ -1,0 +1,152 @@
+"""Numbers that a robot's description in MJCF leaves open, from its logs: friction, damping, rotor inertia, gains, delay, masses.
+
+    z(theta)  residual of the segments (records/shooting.py), whitened by noise, errors of the starts and unexplained torques
+    theta*    argmin |z|^2 + sum ((theta - stated) / sigma)^2        parameter_fit.py, with its intervals
+    sigma     tolerance of masses, inertias and centres (data/calib/robot.toml); of the others the search's prior, which is wide
+
+A number is told if the standard deviation of its estimate is below half of sigma, or (bodies aside) of its change. One that
+the logs do not tell keeps its stated value: its interval is mostly the prior. If two trade with each other, neither is told.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fishmj.base.errors import LogError
+from fishmj.gap.calibrate.parameter_fit import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
+from fishmj.gap.models.rigid_robot import AT, RigidRobot, sizes_of
+from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.null.whitening import record_whitening
+from fishmj.gap.progress import Bars, silent_bar
+from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.free_numbers import KINDS, OpenNumber, effects_of, free_numbers, stated
+from fishmj.gap.thresholds import thresholds
+from fishmj.gap.wording import title
+
+TOLD = 0.5  # of sigma, or of the change; the largest standard deviation of a number that the logs tell
+STILL = 0.02  # rad or m, about a degree: the way of a joint that does not move
+TRADED = 0.8  # correlation from which two numbers trade with each other
+PERCENT = 100
+
+
+class FittedNumber(NamedTuple):
+    """One number of a description, SI, with its 90 % interval.
+
+    stated: of the description, a factor of 1 for gains and bodies. told: share of the prior's standard deviation (or of the
+    change) that is gone. traded: other numbers that could make up for it. inert: no log shows it. bound: where it ended.
+    """
+
+    name: str
+    unit: str
+    stated: float
+    value: float
+    low: float
+    high: float
+    told: float
+    is_told: bool
+    traded: tuple[str, ...] = ()
+    inert: bool = False
+    bound: str = ""
+
+
+class RobotFit(NamedTuple):
+    """numbers: in the order of KINDS. model, delay: MjModel with those that are told, and s that all commands come later.
+
+    errors: {joint: RMS error [rad or m] as described, with the told numbers, with all}. misfit: |z|^2 / m of the same three.
+    """
+
+    numbers: tuple[FittedNumber, ...]
+    model: Any
+    delay: float
+    errors: dict[str, tuple[float, ...]]
+    misfit: tuple[float, ...]
+
+
+def fit_robot(
+    robot: RobotDescription, records: Sequence, kinds: Sequence[str] = tuple(KINDS), bars: Bars = silent_bar
+) -> RobotFit:
+    """Fits the numbers of some kinds. records: `RobotRecord`s. bars: of the fit. Raises LogError if no joint moves."""
+    records = list(records)
+    listed = effects_of(kinds)
+    sizes = sizes_of(robot, records)
+    whole = RigidRobot(robot, sizes, listed)
+    still = _still(robot, records)
+    if len(still) == len(robot.joints):
+        raise LogError(f"no joint moves by {STILL:g} rad or m in any log; record motions of every joint, slow and fast")
+    inert = frozenset(e.name for e in whole.active.effects if e.name.partition(AT)[2] in still)
+    inert |= whole.inert(records) if listed else frozenset()
+    model = RigidRobot(robot, sizes, listed, without=inert)
+    layout = ResidualLayout(records)
+    free = free_numbers(model, kinds)
+    places = [n.place for n in free]
+    parameters = [FreeParameter(n.name, n.unit, n.start, n.step, n.low, n.high, n.sigma) for n in free]
+    whiten = record_whitening(layout.noise(), model.record_errors(records, layout), layout.record)
+
+    def rows(thetas: np.ndarray) -> np.ndarray:
+        out = np.tile(model.nothing, (len(thetas), 1))
+        out[:, places] = thetas
+        return out
+
+    def residual(thetas: np.ndarray) -> np.ndarray:
+        raw = layout.residuals(model.predict(records, rows(np.atleast_2d(thetas))))
+        return np.nan_to_num(whiten(raw), nan=1e6, posinf=1e6, neginf=-1e6)
+
+    blocks = [Block(r.name, "", slice(*np.searchsorted(layout.record, [i, i + 1]))) for i, r in enumerate(records)]
+    with bars(PERCENT, "fit", "%", at_most=True) as bar:
+        found = fit(parameters, residual, blocks, tick=lambda share: bar.update(PERCENT * share))
+        bar.update(PERCENT)
+    numbers = _numbers(free, found)
+    told = np.where([n.is_told for n in numbers], found.theta, [n.start for n in free])
+    three = np.stack([[n.start for n in free], told, found.theta])
+    raw = layout.residuals(model.predict(records, rows(three)))
+    errors = {name: tuple(np.sqrt(np.nanmean(raw[:, layout.channel == name] ** 2, 1)).tolist()) for name in robot.sites("joint")}
+    row = rows(told[None])[0]
+    misfit = tuple(np.mean(residual(three) ** 2, 1).tolist())
+    left = tuple(_inert(whole, name) for name in sorted(inert))
+    return RobotFit((*numbers, *left), model.model(row), float(np.round(model.delay(row), 6)), errors, misfit)
+
+
+def _still(robot: RobotDescription, records: list) -> set[str]:
+    """Names of the joints that do not move: a joint at rest tells nothing of its friction."""
+    moved = np.max([np.ptp(r.joint.values, 0) for r in records], 0)
+    return {name for name, way in zip(robot.sites("joint"), moved, strict=True) if way < STILL}
+
+
+def _numbers(free: list[OpenNumber], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:
+    """The estimates as absolute values, and what the logs tell of them."""
+    estimates: list[ParameterEstimate] = [found.estimates[n.name] for n in free]
+    covariance = found.spreads["curvature"].covariance
+    sd = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance) / np.maximum(np.outer(sd, sd), 1e-300)
+    # A body beyond its tolerance makes up for what is not fitted: its change is no measure.
+    change = [0.0 if n.is_factor else abs(e.value - n.start) for n, e in zip(free, estimates, strict=True)]
+    scale = [max(n.sigma, c) for n, c in zip(free, change, strict=True)]
+    # No friction is a value; another bound is where the search for one ended.
+    bound = [e.bound if e.bound == "upper" or n.low > -n.base else "" for n, e in zip(free, estimates, strict=True)]
+    is_told = [e.sd <= TOLD * size and not b for e, size, b in zip(estimates, scale, bound, strict=True)]
+    out = []
+    for k, (n, e) in enumerate(zip(free, estimates, strict=True)):
+        others = [free[i].name for i in np.flatnonzero(correlation[k] > TRADED) if i != k and not is_told[k]]
+        values = (n.base + n.start, n.base + e.value, n.base + e.low, n.base + e.high)
+        told = max(0.0, 1.0 - e.sd / scale[k])
+        out.append(FittedNumber(n.name, n.unit, *values, told, bool(is_told[k]), tuple(others), bound=bound[k]))
+    return tuple(out)
+
+
+def _inert(model: RigidRobot, name: str) -> FittedNumber:
+    """An effect that no log shows."""
+    p = next(e for e in model.active.effects if e.name == name).parameters[0]
+    base, sigma = stated(model, name), thresholds().fit.prior_sd * abs(p.typical[1] - p.null)
+    return FittedNumber(name, p.unit, base, base, max(base - sigma, base + p.low), base + sigma, 0.0, False, (), True)
+
+
+def described(number: FittedNumber) -> str:
+    """Words for what becomes of a number."""
+    if number.inert:
+        return "left: no log shows it"
+    if number.is_told:
+        return "written"
+    if number.bound:
+        return f"left: at the {number.bound} bound of its range"
+    return f"left: trades with {', '.join(map(title, number.traded))}" if number.traded else "left: the logs do not tell it"

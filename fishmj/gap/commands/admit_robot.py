@@ -1,0 +1,193 @@
+"""Mistakes in the logs of a robot in MJCF that a search would take for effects: order, signs, zeros, clocks, units.
+
+The described model predicts some segments (records/shooting.py), as logged and as if one mistake were undone:
+
+    two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; commands earlier or later
+
+A mistake that explains the logs FAR times better than the logs as they are is one. A search with it would name an imitation.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from fishmj import effects
+from fishmj.base import console
+from fishmj.base.errors import LogError
+from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.records.shooting import RobotRecord, thinned
+from fishmj.gap.wording import number
+
+FAR = 3.0  # times smaller mean square error
+CLOSE = 0.01  # mean square error over that of the movement, below which nothing is doubted
+PROBED = 16  # segments
+SHIFTS = (
+    -0.5,
+    -0.4,
+    -0.3,
+    -0.2,
+    -0.15,
+    -0.1,
+    -0.06,
+    -0.03,
+    0.25,
+    0.3,
+    0.4,
+    0.5,
+)  # s that commands come later than logged; to 0.2 an effect
+TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
+OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
+JUMP = 1.5  # rad from one reading to the next
+
+
+class Mistake(NamedTuple):
+    """A likely mistake: what it is, what undoes it, and the mean square error with it over that without."""
+
+    what: str
+    remedy: str
+    ratio: float
+
+    @property
+    def text(self) -> str:
+        """One sentence."""
+        return f"{self.what} explains the logs {number(self.ratio)} times better: {self.remedy}"
+
+
+def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], anyway: bool = False) -> None:
+    """Warns of what looks wrong in the logs.
+
+    Raises:
+        LogError: a mistake that explains them far better, unless `anyway`; it names the remedy.
+    """
+    for doubt in doubts(robot, records):
+        console.warn(doubt)
+    found = mistakes(robot, records)
+    if found and not anyway:
+        raise LogError(f"{found[0].text}. If the logs are right, go on with --anyway")
+    for mistake in found:
+        console.warn(mistake.text)
+
+
+def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
+    """Readings beyond a joint's range, and jumps that no turn of 2 pi explains."""
+    out, m = [], robot.model
+    for j, joint in enumerate(robot.joints):
+        q = np.concatenate([r.joint.values[:, j] for r in records])
+        if m.jnt_limited[joint.joint]:
+            low, high = m.jnt_range[joint.joint]
+            beyond = np.mean((q < low - MARGIN * (high - low)) | (q > high + MARGIN * (high - low)))
+            if beyond > OUTSIDE:
+                told = f"{100 * beyond:.0f} % of its readings are beyond its range, {low:.3g} to {high:.3g}"
+                out.append(f"joint {joint.name}: {told}: another zero, unit or joint? State it in a map, --columns MAP.toml")
+        jump = max(
+            float(np.abs(np.diff(r.joint.values[:, j])[np.diff(r.joint.t) < r.length / 3]).max(initial=0.0)) for r in records
+        )
+        if jump > JUMP:
+            out.append(
+                f"joint {joint.name}: jumps by {jump:.3g} rad between two readings: does its encoder wrap at another turn?"
+            )
+    return out
+
+
+def mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
+    """Likely mistakes, the best first; empty where the model is close to the logs."""
+    few = thinned(list(records), PROBED)
+    model = RigidRobot(robot, sizes_of(robot, few), [effects.robot_catalogue()["command_latency"]])
+    still, plain = _error(few, None), _error(few, model)
+    if np.mean(plain / still) < CLOSE:
+        return []
+    found = []
+    for what, remedy, changed in undone(robot, few):
+        found.append(Mistake(what, remedy, _ratio(plain / still, _error(changed, model) / _error(changed, None))))
+    rows = np.tile(model.null, (len(SHIFTS), 1))
+    rows[:, model.index("command_latency", "delay")] = SHIFTS
+    for shift, error in zip(SHIFTS, _errors(few, model.predict(few, rows)), strict=True):
+        late = f"{1000 * abs(shift):.0f} ms {'later' if shift > 0 else 'earlier'}"
+        remedy = "their stamps are on another clock than the positions'; write both with one clock"
+        found.append(Mistake(f"commands {late} than logged", remedy, _ratio(plain / still, error / still)))
+    return sorted((m for m in found if m.ratio > FAR), key=lambda m: -m.ratio)
+
+
+def _ratio(plain: np.ndarray, other: np.ndarray) -> float:
+    return float(np.mean(plain) / max(np.mean(other), 1e-12))
+
+
+def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[tuple[str, str, list[RobotRecord]]]:
+    """Each mistake with its remedy, and the records without it."""
+    names, numbers = robot.sites("joint"), [j.actuator for j in robot.joints]
+    table = "in a map, --columns MAP.toml"
+    for j, name in enumerate(names):
+        sign = np.ones(len(names))
+        sign[j] = -1.0
+        negated, a = [_of_angles(r, sign) for r in records], numbers[j]
+        yield f"joint {name} with its positions negated", f"state sign = -1 for it {table}", negated
+        if a >= 0:
+            yield f"actuator {name} with its commands negated", f"state sign = -1 for it {table}", _asked(records, a, a, -1.0)
+            both = _asked(negated, a, a, -1.0)
+            yield f"joint {name} with positions and commands negated", f"state sign = -1 for both {table}", both
+        for turn, angle in TURNS.items():
+            zero = np.zeros(len(names))
+            zero[j] = angle
+            yield (
+                f"joint {name} turned by {turn}",
+                f"its encoder has another zero; state zero for it {table}",
+                _turned(records, zero),
+            )
+    for i, k in combinations(range(len(names)), 2):
+        order = list(range(len(names)))
+        order[i], order[k] = k, i
+        pair = f"{names[i]} and {names[k]}"
+        swapped = [_ordered(r, order) for r in records]
+        yield f"exchanging the positions of {pair}", f"the joints are in another order; name them {table}", swapped
+        if numbers[i] >= 0 and numbers[k] >= 0:
+            asked = _asked(records, numbers[i], numbers[k], 1.0)
+            yield f"exchanging the commands of {pair}", f"the actuators are in another order; name them {table}", asked
+            both = _asked(swapped, numbers[i], numbers[k], 1.0)
+            yield f"exchanging {pair}", f"the joints are in another order; name them {table}", both
+
+
+def _of_angles(r: RobotRecord, sign: np.ndarray) -> RobotRecord:
+    """The record with angles, rates and accelerations of each joint times its sign."""
+    joint = r.joint._replace(values=r.joint.values * sign)
+    return r._replace(joint=joint, angles=r.angles * sign, rates=r.rates * sign, accelerations=r.accelerations * sign)
+
+
+def _turned(records: list[RobotRecord], zero: np.ndarray) -> list[RobotRecord]:
+    return [r._replace(joint=r.joint._replace(values=r.joint.values + zero), angles=r.angles + zero) for r in records]
+
+
+def _ordered(r: RobotRecord, order: list[int]) -> RobotRecord:
+    joint = r.joint._replace(values=r.joint.values[:, order], sigma=r.joint.sigma[order])
+    some = {key: getattr(r, key)[..., order] for key in ("angles", "rates", "accelerations", "angle_error", "rate_error")}
+    return r._replace(joint=joint, **some)
+
+
+def _asked(records: list[RobotRecord], a: int, b: int, sign: float) -> list[RobotRecord]:
+    """The records with the commands of two actuators exchanged, times a sign."""
+    out = []
+    for r in records:
+        commands = r.commands.copy()
+        commands[:, [a, b]] = sign * r.commands[:, [b, a]]
+        out.append(r._replace(commands=commands))
+    return out
+
+
+def _error(records: list[RobotRecord], model: RigidRobot | None) -> np.ndarray:
+    """(J,) median over segments of the mean square error of a model; None: of one that stays where it starts."""
+    if model is not None:
+        return _errors(records, model.predict(records, model.null))[0]
+    seen = [r.angles[np.searchsorted(r.starts, r.joint.t, side="right") - 1] for r in records]
+    return _errors(records, [{"joint": q[None]} for q in seen])[0]
+
+
+def _errors(measured: list[RobotRecord], seen: list[dict]) -> np.ndarray:
+    """(R, J) medians over segments of the mean square errors of predictions (R, K, J)."""
+    out = []
+    for r, told in zip(measured, seen, strict=True):
+        squared = np.nan_to_num((r.joint.values - told["joint"]) ** 2, nan=1e6)
+        place = np.searchsorted(r.starts, r.joint.t, side="right") - 1
+        out += [squared[:, place == s].mean(1) for s in range(len(r.starts)) if np.any(place == s)]
+    return np.median(out, 0)
