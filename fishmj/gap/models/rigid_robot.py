@@ -70,8 +70,8 @@ class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
-    without: names of effects at their sites that are left out. stride: steps of the description in a step here. What the step changes
-    in the description's own prediction, against one `FINE` times as long, is added to every other (`coarsest`).
+    without: names of effects at their sites that are left out. stride: steps of the description in a step here. What the step
+    changes in the description's own prediction, against one `FINE` times as long, is added to every other (`coarsest`).
 
     screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
     each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
