@@ -13,8 +13,8 @@ from fishmj.gap.bench.robot_score import figures, is_twin_class, kind_of, leave_
 from fishmj.gap.laboratory.articulated import robot_stand as stands
 from fishmj.gap.laboratory.articulated.bam_servo import friction_budget, servos
 from fishmj.gap.laboratory.articulated.hidden_faults import with_hidden
-from fishmj.gap.laboratory.articulated.joint_laws import JointLaws
 from fishmj.gap.laboratory.articulated.mujoco_plant import BamPlant, MujocoPlant
+from fishmj.gap.laboratory.articulated.plant_laws import JointLaws
 from fishmj.gap.laboratory.articulated.robot_plan import FAMILIES, carried_inertia, draw_plan, held_torque, mjcf, within_tolerance
 from fishmj.gap.laboratory.articulated.robot_session import draw_session
 from fishmj.gap.models.robot_description import read_robot

@@ -2,7 +2,7 @@
 
     plan      changes numbers of the robot, before a generator builds it
     timing    changes commands on their way or readings (robot_stand.py)
-    law       a torque or a friction at a joint (joint_laws.py)
+    law       a torque or a friction at a joint (plant_laws.py)
 
 Names and parameters of known effects are those of `fishmj.effects`, `name@site`; others are outside every catalogue.
 Sizes are shares of the usual torque, rate and command of the joint, so that an effect of a wrist is as small as a wrist.

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.gap.laboratory.articulated.bam_servo import LAWS, friction_budget
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, placed
-from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, JointMotors
+from fishmj.gap.laboratory.articulated.plant_laws import JointLaws, JointMotors
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden
-from fishmj.gap.laboratory.articulated.joint_laws import JointLaws, JointMotors
+from fishmj.gap.laboratory.articulated.plant_laws import JointLaws, JointMotors
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan
 
 CREEP = 0.005  # rad/s, v_0
