@@ -48,7 +48,7 @@ def swing(
     g = m.opt.gravity[2]
     m.opt.gravity[:] = -g * np.sin(tilt), 0.0, g * np.cos(tilt)
     d, rng = mujoco.MjData(m), np.random.default_rng(seed)
-    dt = 0.002
+    dt, m.opt.timestep = 0.002, 0.0002  # ten steps a command: a step of MuJoCo acts half its length early
     steps = round(seconds / dt)
     t = dt * np.arange(steps)
     rates, phases = rng.uniform(0.3, 2.2, (2, 4)), rng.uniform(0, 6.28, (2, 4))
@@ -60,7 +60,7 @@ def swing(
         sent = max(k - round(late / dt), 0)
         u = asked[sent - sent % round(hold / dt) if hold else sent]
         d.ctrl[:] = np.where(np.asarray(step) > 0, step * np.round(u / np.maximum(step, 1e-9)), u)
-        mujoco.mj_step(m, d)
+        mujoco.mj_step(m, d, 10)
     read = np.stack([np.interp(t / rate, t, column) for column in q.T], 1)
     return t, asked, (scale * read - np.asarray(zero) + noise * rng.standard_normal(q.shape))[::2]
 

@@ -140,7 +140,7 @@ def test_extras_of_packages_are_those_of_the_project():
         "tornado": ["meshcat"],
         "zstandard": ["mcap"],
         "ruamel": ["rosbags"],
-        **{name: [name] for name in ("pysindy", "onnx", "ray", "torch", "stable_baselines3")},
+        **{name: [name] for name in ("pysindy", "onnx", "ray", "torch", "stable_baselines3", "mujoco_menagerie")},
     }
     distributions["dm_env"], distributions["pinocchio"] = ["dm-control"], ["pin"]
     for name, extra in extras.EXTRA_OF.items():
