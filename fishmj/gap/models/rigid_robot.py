@@ -38,7 +38,7 @@ REST = 2.0  # usual torques that an actuator gives at rest if its description st
 LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
 SHORT = 0.02  # m, least size of a body
 AFTERWARDS = 1e6  # s for which the last command holds
-KEPT = 64  # command records that are kept
+KEPT = 64  # sets of commands, and of defects, that are kept
 USUAL = 90  # percentile over the starts of all segments
 
 
@@ -93,7 +93,7 @@ class RigidRobot(ParameterRow):
         self._plain = copy.copy(robot.model)
         self._plain.opt.timestep = self.dt
         self._exact = RigidRobot(robot, sizes, (), stride=FINE) if stride >= 1 else None
-        self._defects: dict[tuple, np.ndarray] = {}
+        self._defects: dict[int, np.ndarray] = {}
         self.joints = len(robot.joints)
         self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
         self.constants, self._factors = self._tolerances()
@@ -294,11 +294,11 @@ class RigidRobot(ParameterRow):
         """(K, J) readings of the description at a fine step, less those at the step of the search."""
         if self._exact is None:
             return 0.0
-        key = (record.name, len(record.starts), record.starts[0])
-        if key not in self._defects:
+        mark = record.mark
+        if mark not in self._defects:
             exact = self._exact.predict([record], self._exact.nothing)[0]["joint"][0]
-            self._defects[key] = exact - self._shoot([record], [[]], [self._plain])[0][0]
-        return self._defects[key]
+            _keep(self._defects, mark, exact - self._shoot([record], [[]], [self._plain])[0][0])
+        return self._defects[mark]
 
     def _shoot(
         self, records: list[RobotRecord], present: list[list[PresentEffect]], models: list, moved=None, pushed=None
@@ -319,12 +319,16 @@ class RigidRobot(ParameterRow):
         start = np.zeros((rows, segments, 1 + m.nq + m.nv))
         start[..., [1 + p for p in places]] = angle
         start[..., [1 + m.nq + d for d in dofs]] = rate
-        out = [np.empty((rows, len(record.joint.t), self.joints)) for record in records]
+        out, marks = (
+            [np.empty((rows, len(record.joint.t), self.joints)) for record in records],
+            [record.mark for record in records],
+        )
         lawful = any(x.placed.form.law is not None for there in present for x in there)
         few = max(1, AT_ONCE // segments)
         for begin in range(0, rows, few):
             some = slice(begin, min(begin + few, rows))
-            u = np.concatenate([self._commands(record, steps, there) for there in present[some] for record in records])
+            sent = [self._commands(*one, steps, there) for there in present[some] for one in zip(records, marks, strict=True)]
+            u = np.concatenate(sent)
             spec = int(mujoco.mjtState.mjSTATE_CTRL)
             if pushed is not None:
                 force = np.zeros((len(u), steps, m.nv))
@@ -357,16 +361,14 @@ class RigidRobot(ParameterRow):
         """Number of steps of a segment."""
         return int(np.ceil(record.length / self.dt - 1e-9)) + 1
 
-    def _commands(self, record: RobotRecord, steps: int, present: list[PresentEffect]) -> np.ndarray:
+    def _commands(self, record: RobotRecord, mark: int, steps: int, present: list[PresentEffect]) -> np.ndarray:
         """(S, T, A) mean of each command over each step, after the delays; kept for the last few."""
         changes = [x for x in present if x.placed.form.command is not None]
         fixed, drift = _delay(present)
         acts = tuple((x.placed.first, *vars(x.p).values()) for x in changes)
-        key = (record.name, len(record.starts), record.starts[0], steps, fixed, drift, acts)
+        key = (mark, steps, fixed, drift, acts)
         if key not in self._sent:
-            while len(self._sent) >= KEPT:
-                self._sent.pop(next(iter(self._sent)))
-            self._sent[key] = self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None])
+            _keep(self._sent, key, self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None]))
         return self._sent[key]
 
     def _mean_commands(self, record: RobotRecord, steps: int, changes: list[PresentEffect], delay: np.ndarray) -> np.ndarray:
@@ -450,6 +452,13 @@ def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSi
             rate.append(np.abs(v))
     torque, driven, usual = (np.percentile(part, USUAL, axis=0) for part in (needed, given, rate))
     return RobotSizes(np.maximum(torque, driven), usual, command)
+
+
+def _keep(kept: dict, key: Any, value: np.ndarray) -> None:
+    """Puts a value among the last `KEPT`."""
+    while len(kept) >= KEPT:
+        kept.pop(next(iter(kept)))
+    kept[key] = value
 
 
 def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], without: frozenset[str]) -> int:
