@@ -28,7 +28,7 @@ from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records, thinned
+from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
 from fishmj.log import Trial
 
 AT = "@"  # between an effect's name and its site's
@@ -71,7 +71,7 @@ class RigidRobot(ParameterRow):
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
     without: names of effects at their sites that are left out. stride: steps of the description in a step here. What the step
-    changes in the description's own prediction, against one `FINE` times as long, is added to every other (`coarsest`).
+    changes in the description's own prediction, against one `FINE` times as long, is added to every other (search_step.py).
 
     screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
     each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
@@ -459,33 +459,6 @@ def _keep(kept: dict, key: Any, value: np.ndarray) -> None:
     while len(kept) >= KEPT:
         kept.pop(next(iter(kept)))
     kept[key] = value
-
-
-def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], without: frozenset[str]) -> int:
-    """Largest stride whose error in the change by each effect, at its small usual size in a few segments, is below `step_error`.
-
-    without: effects in no question.
-    """
-    limits = assumed("segments")
-    some = thinned(list(records[:1]), int(limits["tried"]))
-    exact = RigidRobot(robot, sizes, without=without)
-    rows = np.tile(exact.nothing, (1 + len(exact.active.names), 1))
-    for k, p in enumerate(p for effect in exact.active.effects for p in effect.parameters):
-        rows[1 + k, len(exact.constants) + k] = p.typical[0]
-
-    def changes(model: RigidRobot) -> np.ndarray:
-        seen = model.predict(some, rows)[0]["joint"]
-        return ((seen[1:] - seen[0]) / some[0].joint.sigma).reshape(len(rows) - 1, -1)
-
-    known = changes(exact)
-    size = np.maximum(np.linalg.norm(known, axis=1), np.sqrt(known.shape[1]))  # below the noise, no share is asked
-    stride = int(limits["step"] / robot.dt)
-    while stride > 1:
-        off = np.linalg.norm(changes(RigidRobot(robot, sizes, without=without, stride=stride)) - known, axis=1) / size
-        if np.all(off < limits["step_error"]):
-            break
-        stride = 2 * stride // 3
-    return max(stride, 1)
 
 
 def _delay(present: list[PresentEffect]) -> tuple[float, float]:
