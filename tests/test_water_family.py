@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fishmj import engines, suite
+from fishmj.base import calib
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.engines import extensions, planar_kernel
 from fishmj.mjcf.reading import load_robot
@@ -34,6 +35,19 @@ def test_a_family_is_chosen_by_its_kind_or_name_and_said_with_its_slip_ratios():
     assert water_identity(FISH) == {"name": "swift-family", "kind": "family", "sha256": FAMILY.sha256}
     with pytest.raises(ConfigError, match="another body|none is fitted|family"):
         chosen(load_robot("tendon_fish"), "swift-family")
+
+
+def test_a_family_is_known_by_its_schema_whatever_its_name(tmp_path, monkeypatch):
+    folder = next(one for one in calib.WATERS if (one / "swift-family.toml").is_file())
+    text = (folder / "swift-family.toml").read_text(encoding="utf-8")
+    (tmp_path / "pool.toml").write_text(text.replace('name = "swift-family"', 'name = "pool"'))
+    for member in FAMILY.members:
+        for end in ("toml", "safetensors"):
+            (tmp_path / f"{member.name}.{end}").write_bytes((folder / f"{member.name}.{end}").read_bytes())
+    monkeypatch.setattr(calib, "WATERS", (tmp_path,))
+    family_of.cache_clear()
+    assert family_of("pool").name == "pool" and family_of("swift") is None
+    family_of.cache_clear()
 
 
 def test_a_draw_without_strength_is_the_first_member():

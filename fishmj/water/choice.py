@@ -232,14 +232,14 @@ def residuals_of(robot: Robot) -> tuple:
 @lru_cache(8)
 def family_of(name: str) -> "WaterFamily | None":
     """Family of waters by name or file; None if `name` is another water."""
-    if name not in calib.families() and not name.endswith(".toml"):
+    files = [Path(name)] if name.endswith(".toml") else [folder / f"{name}.toml" for folder in calib.WATERS]
+    found = next((path for path in files if path.is_file()), None)
+    if found is None or FAMILY_SCHEMA not in found.read_text(encoding="utf-8", errors="replace"):
+        return None
+    if calib.read_toml(found).get("schema") != FAMILY_SCHEMA:
         return None
     from fishmj.water.water_family import WaterFamily
 
-    files = [Path(name)] if name.endswith(".toml") else [folder / f"{name}.toml" for folder in calib.WATERS]
-    found = next((path for path in files if path.is_file()), None)
-    if found is None or calib.read_toml(found).get("schema") != FAMILY_SCHEMA:
-        return None
     return WaterFamily.load(found)
 
 
