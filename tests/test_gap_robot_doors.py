@@ -151,7 +151,7 @@ def test_calibration_refuses_what_it_does_not_know(arm, stiff_logs, tmp_path):
 
 
 # --------------------------------------------------------------------------------------------------------- recordings, data sets
-def told(folder, number=0):
+def log_columns(folder, number=0):
     """(stamps, commands, positions) of a log in CSV."""
     rows = np.loadtxt(log_files(folder)[number], delimiter=",", skiprows=1)
     return rows[:, 0], rows[:, 1:3], rows[:, 3:5]
@@ -159,7 +159,7 @@ def told(folder, number=0):
 
 def same_as_csv(robot, logs, csv, late=0.0):
     (trial,), _ = read_robot_logs(*guessed(robot, logs))
-    t, commands, positions = told(csv)
+    t, commands, positions = log_columns(csv)
     cmd, joint = trial.table("cmd"), trial.table("joint")
     np.testing.assert_allclose(np.stack([cmd["c1"], cmd["c2"]], 1), commands)
     np.testing.assert_allclose(np.stack([joint["j1"], joint["j2"]], 1), positions)
@@ -174,7 +174,7 @@ def guessed(robot, logs):
 
 def joint_states(csv):
     """Messages of two topics: states in the order of another program, commands 3 ms later as efforts."""
-    for t, (shoulder, elbow), (q1, q2) in zip(*told(csv), strict=True):
+    for t, (shoulder, elbow), (q1, q2) in zip(*log_columns(csv), strict=True):
         for topic, names, late, values in (
             ("/joint_states", ("elbow", "shoulder"), 0.0, {"position": [q2, q1], "velocity": [0.0, 0.0]}),
             ("/joint_commands", ("shoulder", "elbow"), 0.003, {"effort": [shoulder, elbow]}),
@@ -224,7 +224,7 @@ def test_episodes_of_a_lerobot_set_are_logs(folder, sticky_logs):
     (root / "data" / "chunk-000").mkdir(parents=True)
     features = {key: {"dtype": "float32", "names": names} for key in ("action", "observation.state")}
     (root / "meta" / "info.json").write_text(json.dumps({"codebase_version": "v3.0", "fps": 250, "features": features}))
-    rows = [np.column_stack([np.full(len(t), k), t, u, q]) for k in (0, 1) for t, u, q in [told(sticky_logs, k)]]
+    rows = [np.column_stack([np.full(len(t), k), t, u, q]) for k in (0, 1) for t, u, q in [log_columns(sticky_logs, k)]]
     whole = np.concatenate(rows)
     table = {"episode_index": whole[:, 0].astype(int), "timestamp": whole[:, 1]}
     table |= {"action": list(whole[:, 2:4]), "observation.state": list(whole[:, 4:6])}
@@ -232,8 +232,8 @@ def test_episodes_of_a_lerobot_set_are_logs(folder, sticky_logs):
     servos = written(folder / "servos.xml", ARM.replace("<motor", "<position kp='5'"))
     trials, broken = read_robot_logs(*guessed(read_robot(servos), root))
     assert [trial.name for trial in trials] == ["file-000_episode_0", "file-000_episode_1"] and not broken
-    np.testing.assert_allclose(trials[1].table("joint")["j2"], told(sticky_logs, 1)[2][:, 1])
-    np.testing.assert_allclose(trials[1].table("cmd")["c1"], told(sticky_logs, 1)[1][:, 0])
+    np.testing.assert_allclose(trials[1].table("joint")["j2"], log_columns(sticky_logs, 1)[2][:, 1])
+    np.testing.assert_allclose(trials[1].table("cmd")["c1"], log_columns(sticky_logs, 1)[1][:, 0])
 
 
 def test_import_of_a_robot_names_the_command_that_reads_it(arm, sticky_logs):
@@ -317,7 +317,7 @@ def test_experiments_stay_within_the_limits(folder):
 
 
 def test_servo_whose_zero_is_beyond_its_range_begins_inside_it(folder):
-    """As a knee does that cannot be straight."""
+    """Such as a knee that cannot be straight."""
     servos = (
         LIMITED.replace('range="-1 1"', 'range="-2.7 -0.8"').replace("<motor", "<position kp='20' kv='1'").replace("-4 4", "-9 9")
     )

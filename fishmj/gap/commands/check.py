@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
         from fishmj.gap.commands import check_robot
 
         found = check_robot.check_robot(args)
-        console.say(*check_robot.told(found))
+        console.say(*check_robot.printed_lines(found))
     else:
         found = check(args.model, args.data, args.same_robot)
         console.say(console.table([{k: v for k, v in found.items() if not isinstance(v, list | dict)}]))

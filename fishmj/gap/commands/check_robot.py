@@ -135,7 +135,7 @@ def ratio_of(before: np.ndarray, after: np.ndarray, record: np.ndarray) -> Ratio
     return Ratio(float(after.mean() / before.mean()), float(low), float(high), "logs" if logs >= FEW else "segments")
 
 
-def told(found: dict) -> list[str]:
+def printed_lines(found: dict) -> list[str]:
     """Lines for a terminal."""
     whose = "logs of the search, outside its decisions or its fits" if found["same_data"] else "logs"
     rows = [{"joint": n, "RMS of the parent": a, "RMS": b} for n, (a, b) in found["by_joint"].items()]

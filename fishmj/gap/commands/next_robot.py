@@ -184,18 +184,18 @@ def informations(
         rows[1 + k, n.place] += n.step
     steps = np.array([n.step for n in free])[:, None]
 
-    def told(record: RobotRecord) -> np.ndarray:
+    def information(record: RobotRecord) -> np.ndarray:
         layout = ResidualLayout([record])
         whiten = whitening(np.zeros((0, layout.size)), layout.noise(), model.record_errors([record], layout), layout.record)
         z = whiten(np.nan_to_num(layout.residuals(model.predict([record], rows))))
         slopes = (z[1:] - z[0]) / steps * sigma[:, None]
         return slopes @ slopes.T
 
-    known = np.eye(len(free)) + sum((told(record) for record in logs), np.zeros((len(free), len(free))))
+    known = np.eye(len(free)) + sum((information(record) for record in logs), np.zeros((len(free), len(free))))
     before = np.linalg.slogdet(known)[1]
     out = []
     for k, record in enumerate(records):
-        whole = known + told(record)
+        whole = known + information(record)
         count = int(np.sum(np.sqrt(np.diag(np.linalg.inv(whole))) < TOLD))
         out.append(Score(float(0.5 * (np.linalg.slogdet(whole)[1] - before) / np.log(2.0)), count))
         bar.update(k + 1)

@@ -37,7 +37,7 @@ class RobotNull:
 
     def residuals(self, model, records: list, layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
         """(n, m) residuals of the present model on every draw. bars: of the draws."""
-        key = (id(model.robot), layout.size, *(record.name for record in records))
+        key = (id(model.robot), layout.size, *(record.mark for record in records))
         if key not in self.kept:
             self.kept[key] = self._drawn(model, records, layout, bars)
         return self.kept[key]
