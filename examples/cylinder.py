@@ -3,7 +3,7 @@
     python examples/cylinder.py
     python examples/cylinder.py --diameter 0.02 --re 60 --study --out runs/cylinder
 
-The literature has C_D = 1.33 to 1.36 at Re 100 without walls near by. `--study` takes three grids in place of one and prints the
+The literature has C_D = 1.33 to 1.35 at Re 100 without walls near by; `--box 40 40 16` gives 1.34. `--study` takes three grids in place of one and prints the
 observed order and the uncertainty. For each, cylinder_CELLS.png has the vorticity, .csv the forces. Everything is synthetic.
 """
 
@@ -20,8 +20,8 @@ parser.add_argument("--diameter", type=float, default=0.01, help="m (default 0.0
 speed = parser.add_mutually_exclusive_group()
 speed.add_argument("--speed", type=float, help="of the stream, m/s (default: that of Re 100)")
 speed.add_argument("--re", type=float, default=100.0, help="Reynolds number, in place of the speed (default 100)")
-parser.add_argument("--cells", type=float, default=10.0, help="across the diameter (default 10)")
-parser.add_argument("--study", action="store_true", help="with 0.7, 1 and 1.4 times as many cells")
+parser.add_argument("--cells", type=float, default=10.0, help="across the diameter, 6 or more (default 10)")
+parser.add_argument("--study", action="store_true", help="with 0.7, 1 and 1.4 times as many cells (9 or more)")
 parser.add_argument("--box", type=float, nargs=3, default=(24, 20, 8), metavar=("L", "W", "INLET"), help="diameters (24 20 8)")
 parser.add_argument("--times", type=float, default=60.0, help="diameters of water that pass (default 60)")
 parser.add_argument("--out", type=Path, default=Path("."), metavar="FOLDER", help="of pictures and forces (default: here)")
@@ -54,7 +54,10 @@ def drag(dx: float) -> float:
     return found
 
 
-if args.study:
-    print(grid_study(drag, [d / (share * args.cells) for share in (0.7, 1.0, 1.4)]))
-else:
-    drag(d / args.cells)
+try:
+    if args.study:
+        print(grid_study(drag, [d / (share * args.cells) for share in (0.7, 1.0, 1.4)]))
+    else:
+        drag(d / args.cells)
+except ConfigError as error:
+    parser.error(str(error))

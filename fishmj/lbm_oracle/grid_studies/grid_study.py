@@ -2,12 +2,14 @@
 
     (f3 - f2) / (f2 - f1) = (r32^p - 1) / (r21^p - 1) r21^p,   r = dx ratios, f1 on the finest grid        solved for p
     f0 = f1 + (f1 - f2) / (r21^p - 1)                                                                      dx -> 0
-    U = 1.25 |f1 - f0|          a monotonic series with 0.5 <= p <= 2.5: grid convergence index of the finest grid
-    U = 3 (greatest - least)    any other series: no order, no limit
-    none                        a monotonic series with p <= 0: its differences grow, an estimate from them would mean nothing
+    U = 1.25 |f1 - f0|                     a monotonic series with 0.5 <= p <= 2.5: grid convergence index of the finest grid
+    U = 3 |f2 - f3| / (r32^2 - 1) / r21^2  p > 2.5 is not believed: what the coarse pair leaves by the scheme's order 2
+    U = 3 (greatest - least)               a series that turns, or p < 0.5: no order, no limit
+    none                                   p <= 0: the differences grow, an estimate from them would mean nothing
 
 Sources: Celik et al. 2008, J. Fluids Eng. 130:078001 (index and its factor for three grids); Eca and Hoekstra 2014, J. Comput.
-Phys. 262:104 (the range where no order fits, and that an order far from the scheme's is not believed). Neither was read here.
+Phys. 262:104 (the range where no order fits, the factor 3, and that an order far
+from the scheme's is not believed). Neither was read here.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,12 +24,16 @@ from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.guard import numbers
 
 SAFETY, RANGE = 1.25, 3.0
-ORDERS = (0.5, 2.5)  # observed orders that are believed
+ORDERS, SCHEME = (0.5, 2.5), 2.0  # observed orders that are believed; order of the scheme
+MOST = 20.0  # an order beyond it is called that
 LEAST_RATIO = 1.1
 
 
 class GridStudy(NamedTuple):
-    """Three grids, the finest last; `uncertainty`: of the finest value, +-. NaN stands for what the series does not tell."""
+    """Three grids, the finest last; `uncertainty`: of the finest value, +-, by the grid alone.
+
+    NaN stands for what the series does not tell; a `limit` is given for an order that is believed.
+    """
 
     dx: tuple[float, ...]
     values: tuple[float, ...]
@@ -38,11 +44,15 @@ class GridStudy(NamedTuple):
     def __str__(self) -> str:
         """The table and the verdict, in lines."""
         rows = [f"dx = {dx:<10.4g} {value:.5g}" for dx, value in zip(self.dx, self.values, strict=True)]
-        found = f"order {self.order:.2f}, limit {self.limit:.4g}" if self.order == self.order else "no order fits"
+        found = f"order {self.order:.2f}, limit {self.limit:.4g}"
+        if self.order != self.order:
+            found = "the series turns, or its order is below 0.5: three times its range"
+        elif self.limit != self.limit:
+            found = f"order {self.order:.2f} is above {ORDERS[1]} and not believed: three times what order {SCHEME:g} leaves"
         if self.uncertainty != self.uncertainty:
             found = "the differences grow: not yet in the range where the error falls with the cell"
             return "\n".join([*rows, f"{self.values[-1]:.4g}, no uncertainty ({found})"])
-        return "\n".join([*rows, f"{self.values[-1]:.4g} +- {self.uncertainty:.2g} ({found})"])
+        return "\n".join([*rows, f"{self.values[-1]:.4g} +- {self.uncertainty:.2g} by the grid alone ({found})"])
 
 
 def grid_study(function: Callable[[float], float], dx: Sequence[float]) -> GridStudy:
@@ -76,8 +86,10 @@ def judged(dx: tuple[float, ...], values: tuple[float, ...]) -> GridStudy:
         return GridStudy(dx, values, nan, nan, nan)
     fits = lambda p: log((f3 - f2) / (f2 - f1)) - log((h3**p - h2**p) / (h2**p - h1**p))
     low, high = ORDERS
-    if not fits(low) * fits(high) < 0:
+    if fits(low) < 0:
         return GridStudy(dx, values, nan, nan, spread)
-    order = float(brentq(fits, low, high))
+    order = float(brentq(fits, low, MOST)) if fits(MOST) < 0 else MOST
+    if order > high:
+        return GridStudy(dx, values, order, nan, RANGE * abs(f2 - f3) / ((h3 / h2) ** SCHEME - 1) / (h2 / h1) ** SCHEME)
     limit = f1 + (f1 - f2) / ((h2 / h1) ** order - 1)
     return GridStudy(dx, values, order, limit, SAFETY * abs(f1 - limit))
