@@ -3,9 +3,9 @@
     python examples/cylinder.py
     python examples/cylinder.py --diameter 0.02 --re 60 --study --out runs/cylinder
 
-The literature has C_D = 1.33 to 1.35 at Re 100 without walls near by; `--box 40 40 16` gives 1.34. `--study` takes three grids in
-place of one and prints the observed order and the uncertainty. For each, cylinder_CELLS.png has the vorticity, .csv the forces in SI.
-Everything is synthetic.
+The literature has C_D = 1.33 to 1.35 at Re 100 without walls near by; `--box 40 40 16` gives 1.34. `--study` takes three grids
+in place of one and prints the observed order and the uncertainty. For each, cylinder_CELLS.png has the vorticity, .csv the
+forces in SI. Everything is synthetic.
 """
 
 import argparse

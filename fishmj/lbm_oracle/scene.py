@@ -259,8 +259,8 @@ class Scene:
         made = self._bodies()
         if self.stream and (self._ahead() < AHEAD or self.blockage > BLOCKED):
             console.warn(
-                f"scene: {self._ahead():.3g} D to the inlet and a blockage of {100 * self.blockage:.2g} % raise the force; 8 D and 5 %"
-                " raise that of a cylinder by 6 % at Re 60, 16 D and 2.5 % by 2 %"
+                f"scene: {self._ahead():.3g} D to the inlet and a blockage of {100 * self.blockage:.2g} % raise the force;"
+                " 8 D and 5 % raise that of a cylinder by 6 % at Re 60, 16 D and 2.5 % by 2 %"
             )
         faces = self._faces(self._sponge_for(made.size))
         options: dict[str, Any] = {"subgrid": self.subgrid, "boundaries": faces, "flow": Flow(speed=self.stream)}
