@@ -11,6 +11,7 @@ from raft import KEY, ROBOT, environment, push, raft
 
 from fishmj import engines
 from fishmj.base.calib import constant
+from fishmj.base.errors import ConfigError
 from fishmj.tasks import station_hold as task
 
 LIMIT = constant("task", "episode_steps")
@@ -46,6 +47,18 @@ def test_starts_fill_the_papers_ranges(crowd):
     uniform(crowd.current.rms / speed, 0.02, 0.08)
     assert not np.any(crowd.fish.v) and not np.any(crowd.fish.buffer)
     np.testing.assert_allclose(crowd.distance, np.linalg.norm(crowd.fish.q[:, :2] - crowd.target, axis=1), atol=1e-6)
+
+
+def test_a_share_of_the_starts_is_at_the_target_and_the_others_fill_the_range(crowd):
+    state, arena = environment(at_target=0.25, **ROUGH).reset(KEY, 20000), constant("task", "arena")
+    there = np.asarray(state.distance) == 0
+    assert there.mean() == pytest.approx(0.25, abs=0.015)
+    uniform(state.fish.q[there, 2], -pi, pi)
+    for values in (state.target[there], state.target[~there, 0], state.target[~there, 1]):
+        uniform(values, -arena, arena)
+    np.testing.assert_array_equal(state.fish.q, crowd.fish.q)
+    with pytest.raises(ConfigError, match="at_target = 0.5 of the task figure_eight"):
+        environment(at_target=0.5, course="figure_eight")
 
 
 def test_randomised_fish_fill_the_papers_ranges(crowd):

@@ -100,6 +100,8 @@ def options() -> console.Parser:
     add("--intensity", type=console.number(0, 0.99), help=intensity)
     speeds = f"stream: each episode draws from LOW to HIGH; one number: always this (default: the task's, {task_speeds()})"
     add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=f"m/s, {speeds}")
+    share = "share of the episodes that begin at the target, at any heading (default: 0: anywhere, as the paper's)"
+    add("--at-target", type=console.number(0, 1), metavar="SHARE", help=share)
     seconds = "length of an episode (default: the task's, 30 for station_hold)"
     add("--episode-seconds", type=console.number(0.02, 1e6), metavar="S", help=seconds)
     step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often"
@@ -202,7 +204,7 @@ def settings_from(args, run=None):
     if args.task:
         named(args.task)  # loaded here, from the command line; below it is a name
     speeds, intensity = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1]), args.intensity
-    task |= kept({"flow_speed": speeds, "seconds": args.episode_seconds})
+    task |= kept({"flow_speed": speeds, "seconds": args.episode_seconds, "at_target": args.at_target})
     task |= kept({"intensity": None if intensity is None else (0.0, intensity), "course": args.task})
     task |= kept({"hide": args.hide, "effects": args.randomise_effects})
     if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
