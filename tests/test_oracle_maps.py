@@ -1,6 +1,7 @@
 """Force maps and drifts of the flow solver: signs, symmetry, rows that are kept, tracers against fields with known answers."""
 
 import json
+from collections import deque
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from fishmj.lbm_oracle.cases.maps import average
 from fishmj.lbm_oracle.drifters import drift, tracers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.force_maps import forcemap
-from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, Table, loads, measure
+from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, Table, loads, measure_points
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.water.flow import Flow
@@ -27,9 +28,7 @@ def held(point):
 
 def sweep(points, make=held, **options):
     """Rows by point."""
-    rows = {}
-    measure(points, make, PLAN, tick=0.02, finished=lambda p, row, run: rows.__setitem__(p, row), quiet=True, **options)
-    return rows
+    return {point: row for point, row, _ in measure_points(deque(points), make, PLAN, tick=0.02, **options)}
 
 
 # force maps ---------------------------------------------------------------------------------------------------------

@@ -2,10 +2,8 @@
 
 import csv
 import json
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from io import StringIO
 from math import ceil
 from pathlib import Path
@@ -17,8 +15,8 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import write_json, write_text
 from fishmj.lbm_oracle.cases.maps import average
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop
+from fishmj.lbm_oracle.run.run import Run, TankRun
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop, side_by_side
 
 OK = "ok"
 SETTLE = 5.0  # body lengths of water that pass before the average begins
@@ -161,45 +159,16 @@ def row_of(point: Point, run: Run, settle: int) -> dict:
     return row | {"refined_ticks": run.refined, "status": " ".join(run.stopped.split()) or OK}
 
 
-def measure(
-    points: Sequence[Point],
-    make: Callable[[Point], Run],
-    plan: AveragingTimes,
-    *,
-    tick: float,
-    tanks: int = 1,
-    finished: Callable[[Point, dict, Run], None],
-    quiet: bool = False,
-) -> None:
-    """Runs every point in this process, with a line of progress; `finished` gets each with its row and run."""
-    begun = partial(measure_points, deque(points), make, plan, tick=tick, tanks=tanks)
-    for point, row, run in with_progress(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
-        finished(point, row, run)
-
-
 def measure_points(
     waiting: Waiting, make: Callable[[Point], Run], plan: AveragingTimes, *, tick: float, tanks: int = 1, go_on: GoOn = never_stop
 ) -> Iterator[tuple[Point, dict, Run]]:
-    """Yields points with their rows and runs as they finish, `tanks` side by side; a free tank takes the next point.
+    """Yields points with their rows and runs as they finish, also early; arguments as `side_by_side`."""
 
-    A point that stops early is also finished. go_on: called after every tick with the simulated seconds of unfinished points.
-    """
-    if tanks < 1:
-        raise ConfigError(f"forcemap: {tanks} tanks; expected at least 1")
-    side: list[tuple[Point, Run, int, int]] = []  # point, run, ticks before the average, ticks in all
-    while side or waiting:
-        while len(side) < tanks and waiting:
-            point = waiting.popleft()
-            settle, window = plan.ticks(point.speed, tick)
-            side.append((point, make(point), settle, settle + window))
-        ConcurrentRuns([run for _, run, _, _ in side]).tick()
-        for entry in list(side):
-            point, run, settle, end = entry
-            if run.ticks >= end or run.stopped:
-                side.remove(entry)
-                yield point, row_of(point, run, settle), run
-        if not go_on(sum(run.ticks for _, run, _, _ in side) * tick):
-            return
+    def start(point: Point) -> TankRun:
+        settle, window = plan.ticks(point.speed, tick)
+        return TankRun(make(point), settle + window, lambda run: (point, row_of(point, run, settle), run))
+
+    return side_by_side(waiting, start, tanks=tanks, go_on=go_on)
 
 
 def with_progress(

@@ -15,6 +15,7 @@ refused. To repeat a run, delete its line.
 
 import csv
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import partial
 from io import StringIO
@@ -29,7 +30,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import read_json, write_json, write_text
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.force_maps.force_points import OK, AveragingTimes, Point, measure
+from fishmj.lbm_oracle.force_maps.force_points import OK, AveragingTimes, Point, measure_points
 from fishmj.lbm_oracle.force_maps.forcemap import stage
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
@@ -112,15 +113,14 @@ def force_when_held(what: str, domain: Domain, plan: AveragingTimes, options: di
     """Force or moment of the held fish: straight along the stream, straight across it, or bent; options as of `cruise`."""
     point, column = HELD[what]
     robot = load_robot(options["robot"])
-    rows: list[dict] = []
 
     def make(point: Point):
         joints = point.joints(robot.n_joints)
         made = stage(domain, point, **options)
         return made.run(tethered=True, prescribed=lambda t: joints)
 
-    measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
-    row, (name, unit) = rows[0], column.split("_")
+    ((_, row, _),) = measure_points(deque([point]), make, plan, tick=robot.timing.bus_dt)
+    name, unit = column.split("_")
     return ConvergenceResult(row[column], row[f"{name}_sem_{unit}"], row["seconds"], row["status"])
 
 

@@ -35,10 +35,10 @@ from fishmj.base.store import read_json, write_json, write_text
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, study_slips
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
 from fishmj.mjcf import load_robot
 
 SLIPS = (0.6, 0.8, 0.9, 0.96, 0.98, 0.99)
@@ -161,30 +161,25 @@ class RealFishTable:
 def run_swims(
     waiting: Waiting, device: str, go_on: GoOn, *, stage: SwimSetup, beats: float, tanks: int
 ) -> Iterator[tuple[tuple[float, float], dict]]:
-    """Yields key and row of each swim as it ends, `tanks` at a time side by side on a device.
+    """Yields key and row of each swim as it ends; arguments as `side_by_side`.
 
-    Args:
-        waiting: swims and slip ratios (`spread`).
-        go_on: called after every tick with the simulated seconds of the unfinished swims.
-        stage: their water.
+    waiting: swims and slip ratios. stage: their water.
     """
-    busy: list[tuple[RealSwim, float, Run, int]] = []
-    while busy or waiting:
-        while len(busy) < tanks and waiting:
-            swim, slip = waiting.popleft()
-            run = replace(stage, slip=slip, device=device).run(prescribed=swim.gait)
-            busy.append((swim, slip, run, round(beats / swim.beat / run.robot.timing.bus_dt)))
-        ConcurrentRuns([run for _, _, run, _ in busy]).tick()
-        for entry in list(busy):
-            swim, slip, run, end = entry
-            if run.ticks >= end or run.stopped:
-                busy.remove(entry)
-                enough = run.ticks * run.robot.timing.bus_dt * swim.beat > 2 * LAST
-                speed, gain = speed_of(run, swim.beat) if enough else (float("nan"), float("nan"))
-                status = " ".join(run.stopped.split()) or OK
-                yield (swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status}
-        if not go_on(sum(run.time for _, _, run, _ in busy)):
-            return
+
+    def start(key: tuple[RealSwim, float]) -> TankRun:
+        swim, slip = key
+        run = replace(stage, slip=slip, device=device).run(prescribed=swim.gait)
+        tick = run.robot.timing.bus_dt
+
+        def row(run: Run) -> tuple[tuple[float, float], dict]:
+            enough = run.ticks * tick * swim.beat > 2 * LAST
+            speed, gain = speed_of(run, swim.beat) if enough else (float("nan"), float("nan"))
+            status = " ".join(run.stopped.split()) or OK
+            return (swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status}
+
+        return TankRun(run, round(beats / swim.beat / tick), row)
+
+    return side_by_side(waiting, start, tanks=tanks, go_on=go_on)
 
 
 def _robot() -> str:
