@@ -10,9 +10,9 @@ command) passes.
     two sources     rows that alternate between two paths: two publishers on one topic
     joint speed     steps that no servo can follow
     standing still  commands move, the joint does not, in all of the trial or from some time on
-    stale reading   a moving joint repeats its last value
+    stale reading   a moving joint repeats its last value, or the pose does while joints move
     joint sign      a joint that runs against its command at every plausible delay
-    joint scale     a joint that moves by a multiple of its command
+    joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body
     handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
@@ -21,7 +21,7 @@ command) passes.
 from cmath import phase
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from math import log, pi, sqrt
 from typing import NamedTuple
 
@@ -45,6 +45,8 @@ CLEAR = 0.25  # rad, scatter of course against heading that still counts as one 
 FEWEST = 8  # courses
 NEAR = 20.0  # deg from a quarter turn that still is one
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
+WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
+FROZEN = 0.5  # s of one pose to the last digit while the joints move
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
@@ -197,6 +199,7 @@ def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausi
 
 
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    yield from _frozen_pose(trial, bounds)
     table = trial.tables.get("joint", {})
     names = joints(table)
     if len(names) < 2:
@@ -219,6 +222,28 @@ def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             yield NOTE, text
 
 
+def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    pose, bent = trial.tables.get("pose", {}), trial.tables.get("joint", trial.tables.get("cmd", {}))
+    angles = [name for name in bent if name[0] in "jc" and name[1:].isdecimal()]
+    if not is_sound(pose, ["t", "x", "y", "yaw"]) or not angles:
+        return
+    t, moves = np.asarray(pose["t"], float), np.zeros(len(pose["t"]), bool)
+    for name in ("x", "y", "yaw"):
+        moves[1:] |= np.diff(np.asarray(pose[name], float)) != 0
+    ends = np.append(np.flatnonzero(moves), len(t))
+    held = [(t[a], t[b - 1]) for a, b in pairwise(ends) if t[b - 1] - t[a] >= FROZEN and b - a > FEWEST]
+    clock = np.asarray(bent["t"], float)
+    rows = [(clock >= a) & (clock <= b) for a, b in held]
+    held = [x for x, at in zip(held, rows, strict=True) if at.any() and max(np.ptp(bent[n][at]) for n in angles) > 2 * DRIVEN]
+    whole = sum(b - a for a, b in held)
+    if held and len(ends) > 20 and whole > bounds.stale * (t[-1] - t[0]):
+        text = (
+            f"pose: x, y and yaw repeat their values for {whole:.3g} s, first at t = {held[0][0]:.3f} s, while the joints move:"
+            " did the tracker stop? Leave these cells blank, or split the file there"
+        )
+        yield USE, text
+
+
 def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     for name, t, c, j in _pairs(trial):
         if np.ptp(c) < DRIVEN or np.ptp(j) < 0.2 * np.ptp(c) or t[-1] - t[0] < 1.0:
@@ -239,9 +264,10 @@ def _joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         if np.ptp(c) < 2 * DRIVEN or t[-1] - t[0] < 1.0:
             continue
         times, best = float(np.std(j) / np.std(c)), max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS)
-        if times > bounds.gain and best > FOLLOWED:
+        least = WEAK / bounds.gain
+        if not least <= times <= bounds.gain and times > bounds.still and best > FOLLOWED:
             text = (
-                f"joint: {name} moves by {times:.3g} times its command c{name[1:]} (correlation {best:.2f}; at most"
+                f"joint: {name} moves by {times:.3g} times its command c{name[1:]} (correlation {best:.2f}; {least:.2g} to"
                 f" {bounds.gain:g} times is plausible): another unit, or a gear between? Give columns.{name} a scale in the map"
             )
             yield USE, text
