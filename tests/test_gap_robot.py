@@ -176,6 +176,19 @@ def test_segments_do_not_cross_a_pause(records, arm):
     assert len(record.starts) >= 4
 
 
+def test_segments_do_not_cross_a_pause_of_steady_commands(arm):
+    t, sent = np.arange(0, 4.5, 0.004), np.concatenate([np.arange(0, 2, 0.004), np.arange(2.5, 4.5, 0.004)])
+    moved = {"t": t, "j1": np.sin(t), "j2": np.cos(t)}
+    begin = lambda sent: (
+        robot_record(
+            SimpleTrial({"cmd": {"t": sent, "c1": 0 * sent, "c2": 0 * sent}, "joint": moved}), arm.dt, arm.sites("joint")
+        ).starts
+    )
+    assert not np.any((begin(sent) < 2.5) & (begin(sent) + 0.3 > 2.0))
+    by_event = np.array([0.0, 0.1, 0.5, 0.6, 2.5, 2.6, 4.0])  # which hold until the next
+    assert len(begin(by_event)) > len(begin(sent))
+
+
 def test_thinned_records_keep_readings_of_kept_segments_only(records):
     few = thinned(records, 4)
     assert sum(len(r.starts) for r in few) == 4

@@ -6,6 +6,8 @@ import pytest
 from fishmj.base.errors import LogError
 from fishmj.gap.records.robot_logs import guess_columns, read_robot_logs, read_sheet
 
+N = 0.004 * np.arange(500)  # s
+
 
 def test_columns_are_guessed_from_a_public_log():
     names = "time,pos_meas1,pos_meas2,vel_meas1,vel_meas2,pos_filt1,pos_filt2,vel_filt1,vel_filt2,tau_con1,tau_con2"
@@ -61,6 +63,33 @@ def test_units_that_a_file_states_beside_its_names_are_taken(tmp_path):
     (trial,), _ = read_robot_logs([log], columns)
     assert trial.table("cmd")["t"][1] == pytest.approx(0.01)
     assert trial.table("joint")["j1"][0] == pytest.approx(np.pi / 2) and trial.table("cmd")["c1"][0] == pytest.approx(0.1)
+
+
+def test_unit_that_another_file_states_is_not_overlooked(tmp_path):
+    rows = "".join(f"{k / 100},{k / 30},0.2,1,2\n" for k in range(30))
+    (tmp_path / "a.csv").write_text("t,q1,q2,tau1,tau2\n" + rows)
+    (tmp_path / "b.csv").write_text("t,q1,q2,tau1,tau2\ns,deg,deg,,\n" + rows)
+    columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    trials, broken = read_robot_logs([tmp_path / "a.csv", tmp_path / "b.csv"], columns)
+    assert [trial.name for trial in trials] == ["a"] and "column 'q1': the file says deg, expected rad" in broken["b.csv"]
+
+
+@pytest.mark.parametrize("values, told", [(100 * np.sin(3 * N), "turns to 100 rad"), (50 * np.sin(5 * N), "turns at 2.. rad/s")])
+def test_angles_beyond_any_joint_are_no_radians_unless_they_are_said_to_be(tmp_path, values, told):
+    log = tmp_path / "log.csv"
+    log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{t},{q},0.2,1,2\n" for t, q in zip(N, values, strict=True)))
+    guess = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    with pytest.raises(LogError, match=f"joint s {told}; is q1 in degrees, of a motor before its gear"):
+        read_robot_logs([log], guess)
+    said = guess._replace(joint=guess.joint | {"s": guess.joint["s"].model_copy(update={"unit": "rad"})})
+    assert len(read_robot_logs([log], said)[0]) == 1
+
+
+def test_stamps_that_go_back_are_named_with_their_row(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{k % 20 / 100},0.1,0.2,1,2\n" for k in range(30)))
+    with pytest.raises(LogError, match="do not rise: 0 s after 0.19 s, row 21; .* where the clock begins again"):
+        read_robot_logs([log], guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True))
 
 
 def test_stamps_in_another_unit_than_seconds_are_refused(tmp_path):

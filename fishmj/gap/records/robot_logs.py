@@ -30,7 +30,7 @@ from fishmj.base.errors import FishmjError, LogError
 from fishmj.log import Trial, numbered
 from fishmj.log.importers import header
 from fishmj.log.importers.column_map import Column, Stamp, map_table
-from fishmj.log.importers.column_units import measures, unit_of
+from fishmj.log.importers.column_units import SI, UNITS, measures, time_unit, unit_of
 from fishmj.log.importers.gather import is_recording, read_sheets
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare
@@ -50,7 +50,7 @@ CURRENT = {"current", "currents", "amp", "amps", "load", "pwm"}
 MILLI = {"mN": 1e-3, "mN m": 1e-3}  # N, N m
 PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
 SLOWEST = 0.4  # s from row to row; a larger step is in another unit
-LARGEST = 60.0  # rad: a joint that turns further is taken for one in degrees
+LARGEST, FASTEST, OVER = 60.0, 50.0, 0.02  # rad; rad/s over so many s: a joint beyond either is not in rad
 
 
 class RobotColumns(NamedTuple):
@@ -116,13 +116,12 @@ def guess_columns(
     unit = {n: "" if last & set(header.words(n)[-1:]) and n[-1:].isalnum() else header.parse(n).unit for n in names}
     unit = {n: u or (units or {}).get(n, "") or _angle(n) for n, u in unit.items()}
     moves, asks = ("angle", "length"), ("torque", "force") if torques else ("angle", "length")
-    where = [n for n in names if measures(unit[n]) in ("", *moves)]
-    sent = [n for n in names if measures(unit[n]) in ("", *asks)]
-    measured = _best("positions of the joints", "joint", where, joints, lambda w: _position_score(w))
-    asked = _best("commands of the actuators", "actuator", sent, actuators, lambda w: _command_score(w, torques))
+    fits = lambda kinds: {n: measures(unit[n]) in ("", *kinds) for n in names}
+    measured = _best("positions of the joints", "joint", fits(moves), joints, lambda w: _position_score(w))
+    asked = _best("commands of the actuators", "actuator", fits(asks), actuators, lambda w: _command_score(w, torques))
     return RobotColumns(
         _stamp(names, unit),
-        {name: Column(column=column, unit=unit[column]) for name, column in measured.items()},
+        {name: Column(column=c, unit="" if unit[c] in ("rad", "m") else unit[c]) for name, c in measured.items()},
         {
             name: Column(column=c, scale=MILLI.get(unit[c], 1.0)) if torques else Column(column=c, unit=unit[c])
             for name, c in asked.items()
@@ -164,16 +163,21 @@ def _command_score(words: set[str], torques: bool) -> int:
     return 4 * bool(words & ASKED) + 2 * bool(words & (TORQUE if torques else POSITION))
 
 
-def _best(what: str, table: str, names: Sequence[str], sites: Sequence[str], score) -> dict[str, str]:
-    """Site -> column of the family with the highest score. Raises LogError: none, or two columns for one site."""
+def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str], score) -> dict[str, str]:
+    """Site -> column of the family with the highest score. names: True for those whose unit fits.
+
+    Raises LogError: none, or two columns for one site.
+    """
     found: dict[str, dict[int, list[str]]] = {}
-    for name in names:
+    for name in (name for name, fits in names.items() if fits):
         for place, key in _places(name, sites):
             found.setdefault(key, {}).setdefault(place, []).append(name)
     whole = {key: by for key, by in found.items() if set(by) == set(range(len(sites)))}
     ranked = sorted(((score(_words(key)), key) for key in whole), reverse=True)
     if not ranked or ranked[0][0] <= 0:
-        raise LogError(f"no columns for the {what} among {_listed(names)}; name them in a map, --columns MAP.toml, [{table}]")
+        raise LogError(
+            f"no columns for the {what} among {_listed(list(names))}; name them in a map, --columns MAP.toml, [{table}]"
+        )
     best = [whole[key] for points, key in ranked if points == ranked[0][0]]
     for i, site in enumerate(sites):
         if len(candidates := [name for by in best for name in by[i]]) > 1:
@@ -262,6 +266,11 @@ class LogTable(NamedTuple):
         if stamp.column not in sheet.columns and len(self.sheets) == 1:
             raise LogError(f"{sheet.where}: no column {stamp.column!r} of stamps; it has {_listed(list(sheet.columns))}")
         clock = stamp if stamp.column in sheet.columns else _stamp(list(sheet.columns), sheet.units)  # of its topic
+        for c, (_, name) in zip(columns, found, strict=True):
+            said = sheet.units.get(name, "")
+            if c.scale == 1.0 and measures(said) in ("angle", "length") and UNITS[said][1] != abs(c.factor):
+                told = f"the file says {said}, expected {c.unit or SI[measures(said)]}"
+                raise LogError(f"{sheet.where}: column {name!r}: {told}; state its unit in a map, --columns MAP.toml")
         values = [
             c.factor * (np.asarray(sheet.columns[name], float) - c.zero) for c, (_, name) in zip(columns, found, strict=True)
         ]
@@ -292,14 +301,17 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
         t, values = table.read(columns.time, list(part.values()))
         if key == "joint":
-            _refuse_degrees(table, columns, values)
+            _refuse_degrees(table, columns, t, values)
         keep = np.isfinite(t) & np.isfinite(values).all(1)
         if keep.sum() < 2:
             raise LogError(f"{table.where}: {keep.sum()} rows have all of {_listed([str(c.column) for c in part.values()])}")
         if not np.all(np.diff(t[keep]) > 0):
-            raise LogError(f"{table.where}: stamps {columns.time.column} do not rise; sort the rows, and remove doubles")
+            i = int(np.argmax(np.diff(t[keep]) <= 0))
+            told = f"{t[keep][i + 1]:.10g} s after {t[keep][i]:.10g} s, row {np.flatnonzero(keep)[i + 1] + 1}"
+            remedy = "sort the rows, remove doubles, or split the file where the clock begins again"
+            raise LogError(f"{table.where}: stamps {columns.time.column} do not rise: {told}; {remedy}")
         if (step := float(np.median(np.diff(t[keep])))) > SLOWEST and not columns.time.unit:
-            line = f'time = {{ column = "{columns.time.column}", unit = "ms" }}'
+            line = f'time = {{ column = "{columns.time.column}", unit = "{time_unit(t[keep])[0] or "ms"}" }}'
             raise LogError(
                 f"{table.where}: a row every {step:.4g} s; is it s? State the unit in a map, --columns MAP.toml: {line}"
             )
@@ -324,12 +336,21 @@ def in_parts(log: Trial) -> list[Trial]:
     return out
 
 
-def _refuse_degrees(table: LogTable, columns: RobotColumns, moved: np.ndarray) -> None:
+def _refuse_degrees(table: LogTable, columns: RobotColumns, t: np.ndarray, moved: np.ndarray) -> None:
+    """Raises LogError for a joint that turns too far or too fast for radians, unless a map states rad or m."""
     for (name, c), values in zip(columns.joint.items(), moved.T, strict=True):
-        far = np.nanmax(np.abs(values), initial=0.0)
-        if far > LARGEST:
-            unit = f"is {c.column} in degrees, or in a scale of its own as -100 to 100? State its unit or scale"
-            raise LogError(f"{table.where}: joint {name} turns to {far:.3g} rad; {unit} in a map, --columns MAP.toml")
+        if c.unit in ("rad", "m"):
+            continue
+        rows = np.isfinite(t) & np.isfinite(values)
+        clock, angle = t[rows], np.unwrap(values[rows])
+        far = np.max(np.abs(values[rows]), initial=0.0)
+        later = np.interp(clock + OVER, clock, angle) - angle if len(clock) else np.zeros(1)
+        fast = float(np.quantile(np.abs(later), 0.9)) / OVER
+        told = f"turns to {far:.3g} rad" if far > LARGEST else f"turns at {fast:.3g} rad/s" if fast > FASTEST else ""
+        if told:
+            unit = f"is {c.column} in degrees, of a motor before its gear, or in a scale of its own as -100 to 100"
+            remedy = "State its unit (rad, if it is right) or scale in a map, --columns MAP.toml"
+            raise LogError(f"{table.where}: joint {name} {told}; {unit}? {remedy}")
 
 
 def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:
