@@ -28,6 +28,7 @@ from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
+from fishmj.lbm_oracle.run.finished_rows import keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
@@ -132,17 +133,10 @@ def main(argv: list[str]) -> int:
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
     if robot_entry(robot):
         console.say(f"{robot.name} swims the gait of the shipped fish; published speeds are those of the shipped fish")
-    water, done = sum(seconds for _, seconds in swims), 0.0
+    water = sum(seconds for _, seconds in swims)
     work = partial(on_device, tanks=args.tanks, box=box, beats=args.beats, robot=args.robot, sharpness=edge)
-    with console.Progress(water, "speeds", unit="s", every=1e9 if args.json else None) as bar:
-
-        def go_on(under_way: float) -> bool:
-            bar.update(min(done + under_way, water))
-            return True
-
-        for key, found in spread(work, left, devices, go_on):
-            book.add(key, found)
-            done += args.beats / key[0]
+    begin = lambda go_on: spread(work, left, devices, go_on)
+    keep_rows(book, begin, water, lambda key: args.beats / key[0], "speeds", args.json)
     rows = [book.rows[key] for key in keys]
     title = f"{''.join(f'{name}, ' for name in robot_entry(robot).values())}{box.name}, {100 * box.dx:g} cm"
     picture = draw_speeds(rows, book.path.with_name("speeds.png"), title)
