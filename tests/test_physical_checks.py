@@ -126,6 +126,8 @@ def test_steps_of_a_servo_are_no_failed_reads():
         (("pose", {"yaw": lambda v: v + np.pi / 2}), "heading", "import", "a zero that is 90 deg more"),
         (("pose", {"yaw": lambda v: v + np.pi}), "heading", "import", "a zero that is"),
         (("pose", {"yaw": np.degrees}), "heading", "import", 'unit = "deg"'),
+        (("pose", {"yaw": lambda v: np.degrees(v - v.mean())}), "heading", "import", "yaw turns at"),
+        (("pose", {"x": lambda v: 100 * v, "y": lambda v: 100 * v}), "lost pose", "use", "the fish moves at 20 m/s"),
         (("pose", {"yaw": lambda v: -v, "y": lambda v: -v}), "handedness", "use", "picture is mirrored"),
         (("joint", {"j2": lambda v: -v}), "joint sign", "import", "columns.j2"),
         (("joint", {"j3": lambda v: 0 * v + 0.01}), "standing still", "use", "j3 stands still"),

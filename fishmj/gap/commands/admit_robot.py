@@ -26,20 +26,8 @@ from fishmj.gap.wording import number
 FAR = 3.0  # times smaller mean square error
 CLOSE = 0.01  # mean square error over that of the movement, below which nothing is doubted
 PROBED = 16  # segments
-SHIFTS = (
-    -0.5,
-    -0.4,
-    -0.3,
-    -0.2,
-    -0.15,
-    -0.1,
-    -0.06,
-    -0.03,
-    0.25,
-    0.3,
-    0.4,
-    0.5,
-)  # s that commands come later than logged; to 0.2 an effect
+# s that commands come later than logged; to 0.2 an effect
+SHIFTS = (-0.5, -0.4, -0.3, -0.2, -0.15, -0.1, -0.06, -0.03, 0.25, 0.3, 0.4, 0.5)
 TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
 OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
 STILL = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
