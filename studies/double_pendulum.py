@@ -9,10 +9,11 @@ there: models whose links would have none about their own centre are left out. O
 the command, OUT/tau_con.toml the commanded one.
 """
 
-import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 from fishmj.base import console
+from studies.robot_files import write_robot_files
 
 MISSING = ("Ir", "b1", "b2", "cf1", "cf2")  # rotor inertia, damping and Coulomb friction of shoulder and elbow
 
@@ -50,26 +51,19 @@ def mjcf(p: dict[str, float]) -> str:
 """
 
 
-def main() -> None:
-    """Writes the descriptions and the maps of columns."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    for path in sorted(args.data.glob("design_*/model_*.0.yml")):
+def files(data: Path) -> Iterator[tuple[str, str]]:
+    """The descriptions and the maps of columns."""
+    for path in sorted(data.glob("design_*/model_*.0.yml")):
         name, full = f"{path.parent.name[7:]}_{path.stem[6:]}", parameters(path)
         try:
             for kind, p in (("full", full), ("bare", full | dict.fromkeys(MISSING, 0.0))):
-                (args.out / f"{name}_{kind}.xml").write_text(mjcf(p), encoding="utf-8")
-            console.say(f"{name}_full.xml, {name}_bare.xml")
+                yield f"{name}_{kind}.xml", mjcf(p)
         except ValueError as error:
             console.say(f"{name} left out: {error}")
     for torque in ("tau_meas", "tau_con"):
         joint, actuator = 'shoulder = "pos_meas1"\nelbow = "pos_meas2"', f'shoulder = "{torque}1"\nelbow = "{torque}2"'
-        text = f'time = "time"\n[joint]\n{joint}\n[actuator]\n{actuator}\n'
-        (args.out / f"{torque}.toml").write_text(text, encoding="utf-8")
+        yield f"{torque}.toml", f'time = "time"\n[joint]\n{joint}\n[actuator]\n{actuator}\n'
 
 
 if __name__ == "__main__":
-    main()
+    write_robot_files(__doc__, files)

@@ -9,12 +9,12 @@ meshes are left out, and each motor becomes the servo of the recording: kp 20 N 
 friction, damping and rotor inertia; *_key.xml has what the authors found with PACE, of hips and calves (docs of the data).
 """
 
-import argparse
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
 
-from fishmj.base import console
+from studies.robot_files import write_robot_files
 
 KP, KD = 20.0, 1.5  # of the recording's configuration
 KEY = {"hip": (0.175, 0.19, 0.008), "calf": (0.725, 0.335, 0.043)}  # friction N m, damping N m s/rad, rotor inertia kg m2
@@ -46,17 +46,11 @@ def without_meshes(text: str) -> str:
     return "\n".join(line for line in text.splitlines() if "mesh=" not in line and "<mesh " not in line)
 
 
-def main() -> None:
-    """Writes both descriptions."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
+def files(data: Path) -> Iterator[tuple[str, str]]:
+    """Both descriptions."""
     for name, key in (("bare", False), ("key", True)):
-        (args.out / f"go2_{name}.xml").write_text(described(args.data / "go2.xml", key), encoding="utf-8")
-        console.say(f"{args.out}/go2_{name}.xml")
+        yield f"go2_{name}.xml", described(data / "go2.xml", key)
 
 
 if __name__ == "__main__":
-    main()
+    write_robot_files(__doc__, files)

@@ -11,12 +11,13 @@ from ray_toys import toy
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, DatasetError
-from fishmj.hydro_fit.campaign.data import plan, run_segments
+from fishmj.hydro_fit.campaign.data import plan, run_segments, solver_hash
 from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, domain_of_model, main
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive
 from fishmj.hydro_fit.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.hydro_fit.record import HALF, narrow, read_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
+from fishmj.lbm_oracle.immersed.markers import EDGES, WALL_STRESS
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 from fishmj.water.hydro_model import HydroModel
@@ -163,7 +164,7 @@ def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_pat
 
 def test_complete_data_set_stays_but_refuses_segments_of_another_solver(tmp_path, monkeypatch):
     collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
-    monkeypatch.setattr(run_segments, "solver_sha256", lambda: "0" * 64)
+    monkeypatch.setattr(run_segments, "solver_sha256", lambda law: "0" * 64)
     assert collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True).complete
     assert open_dataset(tmp_path).meta["solver"] == {"sha256": solver_sha256()}
     with pytest.raises(ConfigError, match="another solver"):
@@ -179,6 +180,12 @@ def test_a_solver_is_its_code_not_its_comments():
 def test_shipped_segments_are_those_of_this_solver():
     """Code of the physics that changes no bit belongs into `solver_hash.SAME`; other code needs new segments."""
     assert open_dataset(SHIPPED).meta["solver"]["sha256"] == solver_sha256()
+
+
+def test_segments_of_another_law_of_the_wall_are_of_another_solver():
+    plain, law = SETUP.about["solver"], replace(SETUP, sharpness=WALL_STRESS).about["solver"]
+    assert plain == replace(SETUP, sharpness=EDGES).about["solver"] == {"sha256": solver_hash.SHIPPED} != law
+    assert law["sha256"] not in (solver_hash.WALLS, solver_hash.LAYERS)  # which had all of the stress at the wall
 
 
 def test_a_round_of_correction_adds_to_a_data_set(tmp_path):

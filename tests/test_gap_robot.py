@@ -103,20 +103,6 @@ def test_urdf_gets_a_motor_at_each_joint(tmp_path):
 
 
 # --------------------------------------------------------------------------------------------------------------------------- logs
-def test_columns_are_guessed_from_a_public_log():
-    names = "time,pos_meas1,pos_meas2,vel_meas1,vel_meas2,pos_filt1,pos_filt2,vel_filt1,vel_filt2,tau_con1,tau_con2"
-    names += ",tau_fric1,tau_fric2,tau_meas1,tau_meas2"
-    found = guess_columns(names.split(","), ("shoulder", "elbow"), ("shoulder", "elbow"), torques=True)
-    assert found.time.column == "time"
-    assert [c.column for c in found.joint.values()] == ["pos_meas1", "pos_meas2"]
-    assert [c.column for c in found.actuator.values()] == ["tau_con1", "tau_con2"]
-
-
-def test_ambiguous_columns_are_left_to_a_map():
-    with pytest.raises(LogError, match="cmd_a1 or cmd_b1|cmd_b1 or cmd_a1"):
-        guess_columns(["t", "q1", "q2", "cmd_a1", "cmd_a2", "cmd_b1", "cmd_b2"], ("s", "e"), ("s", "e"), torques=True)
-
-
 def test_map_sets_unit_sign_and_zero(tmp_path, arm):
     path = tmp_path / "map.toml"
     path.write_text(
@@ -188,6 +174,19 @@ def test_segments_do_not_cross_a_pause(records, arm):
     record = robot_record(SimpleTrial(tables), arm.dt, arm.sites("joint"))
     assert not np.any((record.starts < 2.5) & (record.starts + record.length > 2.0))
     assert len(record.starts) >= 4
+
+
+def test_segments_do_not_cross_a_pause_of_steady_commands(arm):
+    t, sent = np.arange(0, 4.5, 0.004), np.concatenate([np.arange(0, 2, 0.004), np.arange(2.5, 4.5, 0.004)])
+    moved = {"t": t, "j1": np.sin(t), "j2": np.cos(t)}
+    begin = lambda sent: (
+        robot_record(
+            SimpleTrial({"cmd": {"t": sent, "c1": 0 * sent, "c2": 0 * sent}, "joint": moved}), arm.dt, arm.sites("joint")
+        ).starts
+    )
+    assert not np.any((begin(sent) < 2.5) & (begin(sent) + 0.3 > 2.0))
+    by_event = np.array([0.0, 0.1, 0.5, 0.6, 2.5, 2.6, 4.0])  # which hold until the next
+    assert len(begin(by_event)) > len(begin(sent))
 
 
 def test_thinned_records_keep_readings_of_kept_segments_only(records):
@@ -325,11 +324,6 @@ def test_servo_effect_is_the_edited_servo(name, tmp_path):
         row[model.index(name, parameter)] = value
     without, with_it = misfit(model, [record], model.null), misfit(model, [record], row)
     assert with_it[0] < min(0.005, without[0] / 3.0), (without, with_it)
-
-
-def test_column_of_a_position_servo_is_a_position():
-    found = guess_columns(["time", "hip_pos", "hip_pos_target", "hip_torque"], ("hip",), ("hip",), torques=False)
-    assert found.joint["hip"].column == "hip_pos" and found.actuator["hip"].column == "hip_pos_target"
 
 
 # ------------------------------------------------------------------------------------------------------------------------ patches

@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError, LogError, MissingExtra, UnknownName,
 from fishmj.gap.calibrate import robot_command
 from fishmj.gap.calibrate.robot_fit import described, fit_robot
 from fishmj.gap.commands import check, next_experiment
-from fishmj.gap.commands.admit_robot import doubts, mistakes, refuse_mistakes, undone
+from fishmj.gap.commands.admit_robot import _of_angles, doubts, mistakes, refuse_mistakes, undone
 from fishmj.gap.commands.check_robot import ratio_of
 from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, read_logs
 from fishmj.gap.models.robot_description import is_robot, read_robot, robot_file
@@ -278,6 +278,22 @@ def test_mistake_is_named_with_its_remedy(what, described_arm):
     with pytest.raises(LogError, match=r"--columns MAP.toml. If the logs are right, go on with --anyway"):
         refuse_mistakes(robot, wrong)
     refuse_mistakes(robot, wrong, anyway=True)
+
+
+def test_degrees_taken_for_radians_are_refused_without_a_word_of_mujoco(arm, folder, capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the arm that is predicted from such angles diverges
+    robot, records = opened(arm, write_logs(folder / "swung", ARM, logs=2, seconds=1.6))
+    turned = [_of_angles(r, np.full(2, 180 / np.pi)) for r in records]
+    with pytest.raises(LogError, match='reading positions in degrees .* state unit = "deg"'):
+        refuse_mistakes(robot, turned)
+    assert "unstable" not in "".join(capfd.readouterr()) and not list(tmp_path.iterdir())
+
+
+def test_joint_that_never_moves_is_doubted(described_arm):
+    robot, records = described_arm
+    values = records[0].joint.values * [1.0, 0.0] + [0.0, 0.3]
+    (told,) = doubts(robot, [records[0]._replace(joint=records[0].joint._replace(values=values))])
+    assert "joint elbow: always 0.3 while its commands change" in told
 
 
 def test_commands_on_another_clock_are_refused(arm, described_arm):

@@ -129,6 +129,26 @@ def named(values, name, **others):
         (named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE), "makes it 12 m, plausible is at most 8", "x_cm=pose.x:mm"),
         (named(1200 + N, "x_cm", y_cm=600 + N, yaw_deg=5 * WAVE), "makes it 12 m, plausible is at most 8", "y_cm=pose.y:mm"),
         ({"time_s": 0.02 * N, "servo1_deg": 0.4 * WAVE}, "the name says deg, but no joint goes beyond", "servo1_deg=cmd.c1:rad"),
+        (
+            named(0.2 * WAVE, "yaw_deg", x_m=WAVE, y_m=WAVE),
+            "says deg, but it stays within 0.2, as rad does",
+            "yaw_deg=pose.yaw:rad",
+        ),
+        (named((N / 9) % 6.28 - 3.14, "yaw_deg", x_m=WAVE, y_m=WAVE), "says deg, but it wraps by 6", "yaw_deg=pose.yaw:rad"),
+        (
+            named(1000 + 5 * N, "x_mm", y=0.6 + 0.01 * WAVE),
+            "its other axis is in mm, where it moves by 0.02 mm",
+            "y=markers.p1y:m",
+        ),
+        (named(170 * WAVE, "cmd1", pos1=15 * WAVE), "up to 170: a servo's counts", "cmd1=cmd.c1:deg"),
+        (named(2048 + 300 * WAVE, "cmd1_ticks"), "count of a servo. Say the scale here", "cmd1_ticks=cmd.c1:rad*SCALE"),
+        (named(1500 + 300 * WAVE, "servo1_cmd_us"), "us of a servo. Say the scale here", "servo1_cmd_us=cmd.c1:rad*SCALE"),
+        (
+            named(90 + 30 * WAVE, "pos1_deg"),
+            'from the servo\'s end? In a map say unit = "deg", zero = 90',
+            "pos1_deg=joint.j1:deg",
+        ),
+        (named(90 + 30 * WAVE, "pos1"), 'from the servo\'s end? In a map say unit = "deg", zero = 90', "pos1=joint.j1:rad"),
     ],
 )
 def test_a_unit_in_a_name_that_does_not_fit_the_values_is_asked(tmp_path, bring, columns, said, mended):
@@ -137,6 +157,19 @@ def test_a_unit_in_a_name_that_does_not_fit_the_values_is_asked(tmp_path, bring,
     assert code == 2 and said in err and f"--set {mended}" in err and "\n" not in err
     name = mended.partition("=")[0]
     assert guessed(tmp_path, columns)[name].state == guess.UNCLEAR
+
+
+def test_stamps_that_are_no_numbers_are_named(tmp_path, bring):
+    (tmp_path / "a.csv").write_text("time_ms,servo1_deg\n" + "".join(f"{hex(20 * i)},{w:.3f}\n" for i, w in enumerate(20 * WAVE)))
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and "no column of time ('time_ms' holds no number)" in err
+
+
+def test_ticks_of_a_servo_are_taken_with_a_scale(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"time_s": 0.02 * N, "cmd1_ticks": 300 * WAVE})
+    code, _, err = bring(tmp_path / "a.csv", "--yes", "--set", "cmd1_ticks=cmd.c1:rad*0.001534")
+    assert code == 0, err
+    near(only(tmp_path / "set").tables["cmd"]["c1"], 0.4602 * WAVE)
 
 
 def test_what_is_asked_is_answered_either_way(tmp_path, bring):

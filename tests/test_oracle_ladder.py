@@ -13,7 +13,8 @@ from fishmj.lbm_oracle import cases
 from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, impulsive, maps, oscillating, settling
 from fishmj.lbm_oracle.cases.cylinder import cylinder as held_cylinder
 from fishmj.lbm_oracle.grid_studies import converge_fish
-from fishmj.lbm_oracle.grid_studies.converge_fish import ConvergenceResult, ConvergenceTable, Key
+from fishmj.lbm_oracle.grid_studies.converge_fish import ConvergenceResult, Key
+from fishmj.lbm_oracle.run.finished_rows import FinishedRows
 
 
 def strip(passes: int = 2):
@@ -135,14 +136,20 @@ def test_a_study_takes_time_steps_that_divide_the_tick():
 
 
 def test_a_study_continues_what_is_there_and_refuses_another_setup(tmp_path):
+    opened = lambda setup: FinishedRows(tmp_path / "converge.csv", converge_fish.COLUMNS, 4, setup, "converge fish")
     key, found = Key("drag", 0.02, 0.004, 1.0), ConvergenceResult(0.1, 0.01, 20.0, "ok")
-    ConvergenceTable(tmp_path, {"beats": 8.0}).add(key, found, 1.0)
-    assert ConvergenceTable(tmp_path, {"beats": 8.0}).rows[key]["value"] == 0.1
+    opened({"beats": 8.0}).add(key, found._asdict() | {"wall_s": 1.0})
+    assert opened({"beats": 8.0}).rows[key]["value"] == 0.1
     with pytest.raises(ConfigError, match=r"beats = 8.0 \(now 2.0\)"):
-        ConvergenceTable(tmp_path, {"beats": 2.0})
+        opened({"beats": 2.0})
+    with pytest.raises(ConfigError, match=r"beats = 8.0 \(now None\)"):  # such as a boundary, which plain tables do not name
+        opened({})
     (tmp_path / "converge.csv").write_text("what,dx\ndrag,x\n")
     with pytest.raises(StoreError, match="converge.csv:2"):
-        ConvergenceTable(tmp_path, {"beats": 8.0})
+        opened({"beats": 8.0})
+    (tmp_path / "setup.json").unlink()
+    with pytest.raises(StoreError, match="setup.json"):
+        opened({"beats": 8.0})
 
 
 def test_the_bias_of_the_coarsest_grid_is_against_the_finest():

@@ -1,17 +1,18 @@
 """Force maps and drifts of the flow solver: signs, symmetry, rows that are kept, tracers against fields with known answers."""
 
 import json
+from collections import deque
 
 import numpy as np
 import pytest
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, OracleUnstable, StoreError, UsageError
+from fishmj.base.errors import ConfigError, OracleUnstable, UsageError
 from fishmj.lbm_oracle.cases.maps import average
 from fishmj.lbm_oracle.drifters import drift, tracers
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.force_maps import forcemap
-from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, Table, loads, measure
+from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, loads, measure_points
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.water.flow import Flow
@@ -27,9 +28,7 @@ def held(point):
 
 def sweep(points, make=held, **options):
     """Rows by point."""
-    rows = {}
-    measure(points, make, PLAN, tick=0.02, finished=lambda p, row, run: rows.__setitem__(p, row), quiet=True, **options)
-    return rows
+    return {point: row for point, row, _ in measure_points(deque(points), make, PLAN, tick=0.02, **options)}
 
 
 # force maps ---------------------------------------------------------------------------------------------------------
@@ -117,14 +116,6 @@ def test_the_command_keeps_its_rows_and_does_only_what_is_missing(tmp_path, monk
         forcemap.main(["--speeds", "0"])
     with pytest.raises(ConfigError, match="0.2 s or more"):
         forcemap.main(["--seconds", "0.1", "--device", "cpu", "--out", str(tmp_path)])
-
-
-def test_a_damaged_table_names_its_line(tmp_path):
-    table = Table(tmp_path, {"slip": 1.0})
-    point = Point("joint", 0.0, 0.0, 0.2)
-    table.add(point, dict.fromkeys(("drag_N",), 1.0))
-    with pytest.raises(StoreError, match="forcemap.csv:2"):
-        Table(tmp_path, {"slip": 1.0})
 
 
 def test_standard_error_accounts_for_autocorrelation_of_samples():

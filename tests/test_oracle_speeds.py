@@ -18,8 +18,8 @@ CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device"
 
 @pytest.mark.slow
 def test_a_sweep_goes_on_where_it_stopped_and_refuses_another_set_up(tmp_path, monkeypatch, capsys):
-    swum, real = [], speeds.GaitSwim
-    monkeypatch.setattr(speeds, "GaitSwim", lambda key, **setup: swum.append(key) or real(key, **setup))
+    swum, real = [], speeds.start_swim
+    monkeypatch.setattr(speeds, "start_swim", lambda key, **setup: swum.append(key) or real(key, **setup))
     call = [*CALL, "--out", str(tmp_path)]
     assert speeds.main([*call, "--slips", "1"]) == console.OK
     assert speeds.main([*call, "--slips", "0.98", "1"]) == console.OK

@@ -49,6 +49,11 @@ def names(trial: Trial) -> dict[str, str]:
     return {finding.check: finding.text for finding in physical_checks.examine(trial)}
 
 
+def frozen(values):
+    """A tracker that stops for 3 s."""
+    return np.where((np.arange(len(values)) >= 200) & (np.arange(len(values)) < 350), values[200], values)
+
+
 def levels(trial: Trial) -> dict[str, str]:
     return {finding.check: finding.level for finding in physical_checks.examine(trial)}
 
@@ -121,6 +126,8 @@ def test_steps_of_a_servo_are_no_failed_reads():
         (("pose", {"yaw": lambda v: v + np.pi / 2}), "heading", "import", "a zero that is 90 deg more"),
         (("pose", {"yaw": lambda v: v + np.pi}), "heading", "import", "a zero that is"),
         (("pose", {"yaw": np.degrees}), "heading", "import", 'unit = "deg"'),
+        (("pose", {"yaw": lambda v: np.degrees(v - v.mean())}), "heading", "import", "yaw turns at"),
+        (("pose", {"x": lambda v: 100 * v, "y": lambda v: 100 * v}), "lost pose", "use", "the fish moves at 20 m/s"),
         (("pose", {"yaw": lambda v: -v, "y": lambda v: -v}), "handedness", "use", "picture is mirrored"),
         (("joint", {"j2": lambda v: -v}), "joint sign", "import", "columns.j2"),
         (("joint", {"j3": lambda v: 0 * v + 0.01}), "standing still", "use", "j3 stands still"),
@@ -128,6 +135,8 @@ def test_steps_of_a_servo_are_no_failed_reads():
         (("joint", {"j2": lambda v: np.where(np.arange(len(v)) % 20 == 7, np.roll(v, 1), v)}), "stale reading", "note", "j2"),
         (("joint", {"j2": lambda v: np.where(np.arange(len(v)) > 300, v[300], v)}), "standing still", "use", "lose its power"),
         (("joint", {"j2": lambda v: 3 * v}), "joint scale", "use", "j2 moves by 2.8"),
+        (("cmd", {"c2": lambda v: 11.4 * v}), "joint scale", "use", "j2 moves by 0.083"),
+        (("pose", dict.fromkeys(("x", "y", "yaw"), frozen)), "stale reading", "use", "repeat their values for 2.98 s, first at"),
         (("joint", {"j1": lambda v: np.where(np.arange(len(v)) % 2, 1.05 * np.roll(v, -9), v)}), "two sources", "import", "j1"),
         (("pose", {"x": lambda v: np.where(np.arange(len(v)) % 2, v + 0.3, v)}), "two sources", "import", "x alternates"),
         (("pose", {"yaw": lambda v: 0 * v + 0.4}), "heading", "use", "heading of the camera"),
@@ -186,6 +195,14 @@ def test_a_mirrored_camera_shows_in_straight_swims(name):
 def test_a_straight_swim_beside_its_heading_is_noted_not_refused():
     off = changed(turning(rate=0.0), "pose", yaw=lambda v: v + np.pi / 2)
     assert levels(off)["heading"] == physical_checks.NOTE and "or a current carries it" in names(off)["heading"]
+
+
+def test_a_held_or_resting_fish_is_no_stopped_tracker():
+    resting = changed(turning(), "cmd", **{f"c{i}": lambda v: np.where(np.arange(len(v)) < 250, v[0], v) for i in (1, 2, 3)})
+    still = dict.fromkeys(("x", "y", "yaw"), lambda v: np.where(np.arange(len(v)) < 250, v[0], v))
+    resting = changed(replace(resting, tables={k: v for k, v in resting.tables.items() if k != "joint"}), "pose", **still)
+    held = changed(turning(), "pose", **dict.fromkeys(("x", "y", "yaw"), lambda v: 0 * v + 1))
+    assert "stale reading" not in names(resting) | names(held)
 
 
 def test_a_fish_that_lies_still_tells_nothing():

@@ -5,7 +5,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.lbm_oracle.grid_studies import real_fish
-from fishmj.lbm_oracle.grid_studies.real_fish import RealFishTable, fit_slip, speed_of, swims
+from fishmj.lbm_oracle.grid_studies.real_fish import fit_slip, speed_of, swims
 
 SLIPS = (0.95, 0.97, 0.98, 0.99, 1.0)
 
@@ -63,14 +63,6 @@ def test_speed_is_that_of_the_last_two_beats():
     Swum.rows = [(0, 0, 0, np.array([0.1 * min(t, 2) + 0.3 * max(t - 2, 0), 0.0])) for t in 0.02 * np.arange(1, 201)]
     speed, gain = speed_of(Swum(), 1.0)
     assert speed == pytest.approx(0.3) and gain == pytest.approx(1.0)
-
-
-def test_finished_swims_are_kept_and_another_set_up_is_refused(tmp_path):
-    book = RealFishTable(tmp_path, {"domain": "laptop"})
-    book.add((1.5, 0.98), {"speed_m_s": 0.2, "gain_a_beat": 0.01, "status": "ok"})
-    assert RealFishTable(tmp_path, {"domain": "laptop"}).rows[1.5, 0.98]["speed_m_s"] == 0.2
-    with pytest.raises(ConfigError, match="another set-up"):
-        RealFishTable(tmp_path, {"domain": "window"})
 
 
 def test_beats_that_leave_nothing_to_compare_are_refused(tmp_path):

@@ -25,7 +25,7 @@ from fishmj.train.hyperparameters import PPOConfig, SACConfig, declared
 from fishmj.train.learner import PolicyLayers, episode_metrics, record_of, reported
 from fishmj.train.networks import ACTIVATIONS, mlp
 from fishmj.train.settings import ALGORITHMS, as_dict, change, from_dict, hyperparameters, of_run, preset, told
-from fishmj.train.training_run import arrays_of, export, tree_of, write_settings
+from fishmj.train.training_run import arrays_of, export, programs, tree_of, write_settings
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "train" / "training.md"
 
@@ -128,6 +128,16 @@ def test_header_of_a_policy_has_every_value(tmp_path):
     assert meta["hyperparameters"] == as_dict(settings)["algorithm"] and meta["hyperparameters"]["gamma"] == 0.9
     assert (meta["task"]["flow_speed"], meta["task"]["seconds"], meta["control_dt"]) == ([0.05, 0.4], 12.0, 0.1)
     assert meta["reward"] == {"wG": 1.0, "wD": 10.0, "wS": 0.005} and meta["seed"] == 7 and "jax" in meta["made_by"]["versions"]
+
+
+@pytest.mark.parametrize("line, package", [("--algo sb3-ppo", "stable-baselines3"), ("--algo sb3-sac", "torch")])
+def test_header_states_the_versions_of_the_programs_of_its_algorithm(line, package, tmp_path):
+    own, ours = settled(asked_for(*line.split())), settled(asked_for())
+    network = PolicyLayers(mlp(jax.random.key(0), [11, *own.algorithm["hidden"], 3]), "tanh")
+    export(network, own, {"steps": 5}, tmp_path / "best.safetensors")
+    versions = Policy.load(tmp_path).meta["made_by"]["versions"]
+    assert versions[package] == programs(own)["versions"][package] and package not in programs(ours)["versions"]
+    assert programs(ours)["versions"].items() <= versions.items()
 
 
 def test_settled_settings_state_what_is_left_open_and_settle_once():

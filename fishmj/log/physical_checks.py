@@ -10,9 +10,9 @@ command) passes.
     two sources     rows that alternate between two paths: two publishers on one topic
     joint speed     steps that no servo can follow
     standing still  commands move, the joint does not, in all of the trial or from some time on
-    stale reading   a moving joint repeats its last value
+    stale reading   a moving joint repeats its last value, or the pose does while joints move
     joint sign      a joint that runs against its command at every plausible delay
-    joint scale     a joint that moves by a multiple of its command
+    joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body
     handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
@@ -21,7 +21,7 @@ command) passes.
 from cmath import phase
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from math import log, pi, sqrt
 from typing import NamedTuple
 
@@ -45,6 +45,9 @@ CLEAR = 0.25  # rad, scatter of course against heading that still counts as one 
 FEWEST = 8  # courses
 NEAR = 20.0  # deg from a quarter turn that still is one
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
+WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
+NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
+FROZEN = 0.5  # s of one pose to the last digit while the joints move
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
@@ -109,6 +112,13 @@ def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     pose = trial.tables.get("pose", {})
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return
+    paces = np.hypot(*_drifts(pose)[1])
+    if len(paces) >= FEWEST and (pace := float(np.median(paces))) > bounds.leap:
+        yield (
+            USE,
+            f"pose: the fish moves at {pace:.3g} m/s (median over a second; at most {bounds.leap:g} m/s is plausible): are x and"
+            " y in cm, or in px? State their unit or scale in the map",
+        )
     lost, _ = lost_poses(pose, bounds)
     t, yaw = (np.asarray(pose[name], float)[~lost] for name in ("t", "yaw"))
     turn = np.abs(np.angle(np.exp(1j * np.diff(yaw))))
@@ -197,6 +207,7 @@ def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausi
 
 
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    yield from _frozen_pose(trial, bounds)
     table = trial.tables.get("joint", {})
     names = joints(table)
     if len(names) < 2:
@@ -219,6 +230,25 @@ def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             yield NOTE, text
 
 
+def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    pose, bent = trial.tables.get("pose", {}), trial.tables.get("joint", trial.tables.get("cmd", {}))
+    angles = [name for name in bent if name[0] in "jc" and name[1:].isdecimal()]
+    if not is_sound(pose, ["t", "x", "y", "yaw"]) or not angles:
+        return
+    t, clock = np.asarray(pose["t"], float), np.asarray(bent["t"], float)
+    ends = np.append(np.flatnonzero(np.diff([pose[name] for name in ("x", "y", "yaw")]).any(0)) + 1, len(t))
+    held = [(t[a], t[b - 1]) for a, b in pairwise(ends) if t[b - 1] - t[a] >= FROZEN and b - a > FEWEST]
+    bend = lambda at: max((np.ptp(bent[name][at]) for name in angles if at.any()), default=0.0)
+    held = [(a, b) for a, b in held if bend((clock >= a) & (clock <= b)) > 2 * DRIVEN]
+    whole = sum(b - a for a, b in held)
+    if held and len(ends) > 20 and whole > bounds.stale * (t[-1] - t[0]):
+        text = (
+            f"pose: x, y and yaw repeat their values for {whole:.3g} s, first at t = {held[0][0]:.3f} s, while the joints move:"
+            " did the tracker stop? Leave these cells blank, or split the file there"
+        )
+        yield USE, text
+
+
 def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     for name, t, c, j in _pairs(trial):
         if np.ptp(c) < DRIVEN or np.ptp(j) < 0.2 * np.ptp(c) or t[-1] - t[0] < 1.0:
@@ -239,9 +269,10 @@ def _joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         if np.ptp(c) < 2 * DRIVEN or t[-1] - t[0] < 1.0:
             continue
         times, best = float(np.std(j) / np.std(c)), max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS)
-        if times > bounds.gain and best > FOLLOWED:
+        least = WEAK / bounds.gain
+        if not least <= times <= bounds.gain and times > bounds.still and best > FOLLOWED:
             text = (
-                f"joint: {name} moves by {times:.3g} times its command c{name[1:]} (correlation {best:.2f}; at most"
+                f"joint: {name} moves by {times:.3g} times its command c{name[1:]} (correlation {best:.2f}; {least:.2g} to"
                 f" {bounds.gain:g} times is plausible): another unit, or a gear between? Give columns.{name} a scale in the map"
             )
             yield USE, text
@@ -263,6 +294,17 @@ def _joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
 
 
 def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    pose = trial.tables.get("pose", {})
+    if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20 and bounds.course < pi:
+        t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
+        spin = float(np.quantile(np.abs(np.interp(t + NOD, t, yaw) - yaw), 0.9)) / NOD
+        if spin > SPIN:
+            yield (
+                IMPORT,
+                f"pose: yaw turns at {spin:.3g} rad/s (over {NOD:g} s; at most {SPIN:g} is plausible): it is in degrees. In the"
+                ' map give columns.yaw unit = "deg"',
+            )
+            return
     found = _courses(trial)
     if found is None:
         return
@@ -327,7 +369,7 @@ def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         return
     tail = np.interp(grid, bent["t"], angles.sum(1))
     yaw = np.interp(grid, pose["t"], np.unwrap(np.asarray(pose["yaw"], float)))
-    swing, turn = (_fast(np.gradient(_smooth(x), GRID)) for x in (tail, yaw))
+    swing, turn = (_fast(np.gradient(_mean_over(_mean_over(x, 5), 5), GRID)) for x in (tail, yaw))
     if np.std(swing) < BEAT:
         return
     found = [_correlation(*_late(swing, turn, lag)) for lag in (SEEN if measured else FOLLOWS)]
@@ -397,10 +439,6 @@ def _mean_over(x: np.ndarray, rows: int) -> np.ndarray:
     return np.convolve(np.pad(x, (rows // 2, rows - 1 - rows // 2), "edge"), np.ones(rows) / rows, "valid")
 
 
-def _smooth(x: np.ndarray) -> np.ndarray:
-    return _mean_over(_mean_over(x, 5), 5)
-
-
 def _fast(x: np.ndarray) -> np.ndarray:
     """Part of x within a beat: turns and drifts are removed."""
     return x - _mean_over(x, round(1.5 / GRID))
@@ -436,19 +474,24 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
     pose = trial.tables.get("pose", {})
     if len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
         return None
-    t = np.asarray(pose["t"], float)
-    begin = np.arange(t[0], min(t[-1], t[0] + LONGEST) - PACE, APART)
+    begin, moved = _drifts(pose)
     if len(begin) < FEWEST:
         return None
     stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
     speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
     if speed > 0 and trial.value("flow.known") is False:
         return None
-    yaw = np.unwrap(np.asarray(pose["yaw"], float))
+    t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
     total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
-    moved = [np.interp(begin + PACE, t, pose[k]) - np.interp(begin, t, pose[k]) for k in "xy"]
-    vx, vy = moved[0] / PACE - speed * np.cos(bearing), moved[1] / PACE - speed * np.sin(bearing)
+    vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
     mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE
     pace = np.hypot(vx, vy)
     swum = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
     return (np.arctan2(vy, vx)[swum], mean[swum]) if swum.sum() >= FEWEST else None
+
+
+def _drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Begins (K,) s of stretches of `PACE`, and the mean velocities (2, K) m/s over ground in them."""
+    t = np.asarray(pose["t"], float)
+    begin = np.arange(t[0], min(t[-1], t[0] + LONGEST) - PACE, APART)
+    return begin, np.array([np.interp(begin + PACE, t, pose[k]) - np.interp(begin, t, pose[k]) for k in "xy"]) / PACE

@@ -220,11 +220,12 @@ def check_meta(meta: dict, where: str) -> list[str]:
     return [f"{where}: missing {', '.join(missing)}"] if missing else []
 
 
-def check_counts(tables: dict[str, Table]) -> list[str]:
-    """Notes about tables that disagree on the number of joints."""
+def check_counts(tables: dict[str, Table], meta: dict) -> list[str]:
+    """Notes about tables and meta data that disagree on the number of joints."""
     templates = {"cmd": "c#", "joint": "j#", "truth": "j#"}
     counts = {name: _count(template, list(tables[name])) for name, template in templates.items() if name in tables}
     counts |= {name: _count(t, list(tables[name])) - 1 for name, t in (("flow", "u#x"), ("wrench", "m#")) if name in tables}
+    counts |= {"meta": meta["joints"]} if counts and isinstance(meta.get("joints"), int) else {}
     if len(set(counts.values())) < 2:
         return []
     return ["number of joints differs: " + ", ".join(f"{name} {count}" for name, count in counts.items())]

@@ -51,6 +51,8 @@ def read_trial(path: str | Path) -> Trial:
     tables: dict[str, Table] = {}
     for file in sorted(path.iterdir()):
         if file.suffix not in (".csv", ".npz") or file.name.startswith("."):
+            if (name := file.name.partition(".")[0].lower()) in TABLES and file.is_file():
+                notes.append(f"{file.name}: not read; expected {name}.csv or {name}.npz, unpacked and in lower case")
             continue
         if file.stem not in TABLES:
             notes.append(f"{file.name}: no table of the schema; ignored. Known: {', '.join(TABLES)}")
@@ -63,7 +65,7 @@ def read_trial(path: str | Path) -> Trial:
         if (path / JOURNAL).is_dir():
             raise LogError(f"{path}: a swim under way, or one whose host was killed; then run: fishmj deploy recover {path}")
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
-    notes += trial_check.check_counts(tables)
+    notes += trial_check.check_counts(tables, meta)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))
 
 
@@ -208,4 +210,4 @@ def flat_trial(samples: Table, place: trial_check.Place, path: Path, meta: dict,
     bounds = bounds_of(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
         notes += trial_check.check_table(name, table, place, bounds)
-    return Trial(meta, tables, name=path.parent.name, notes=(*notes, *trial_check.check_counts(tables)))
+    return Trial(meta, tables, name=path.parent.name, notes=(*notes, *trial_check.check_counts(tables, meta)))

@@ -26,17 +26,23 @@ class Registered(NamedTuple):
     learner: str  # a train.learner.Learner
     budget: int = 0  # control steps where `--algo` alone names it; 0: the preset's
     train: str = ""  # module:function in place of TrainingRun, for one that brings its own environment
+    packages: tuple[str, ...] = ()  # whose versions a run states beside those of every run
 
 
+_STABLE_SAC = Registered(
+    "fishmj.train.hyperparameters:SACConfig",
+    "fishmj.train.sb3:StableSAC",
+    budget=1_000_000,
+    train="fishmj.train.sb3:train_sb3",
+    packages=("stable-baselines3", "torch", "gymnasium"),
+)
 ALGORITHMS = {  # an algorithm is its file and a line here
     "ppo": Registered("fishmj.train.hyperparameters:PPOConfig", "fishmj.train.ppo:PPO"),
     "sac": Registered("fishmj.train.hyperparameters:SACConfig", "fishmj.train.sac:SAC", budget=1_000_000),
-    "sb3-ppo": Registered(
-        "fishmj.train.hyperparameters:PlainPPOConfig", "fishmj.train.sb3:StablePPO", 16_000_000, "fishmj.train.sb3:train_sb3"
+    "sb3-ppo": _STABLE_SAC._replace(
+        config="fishmj.train.hyperparameters:PlainPPOConfig", learner="fishmj.train.sb3:StablePPO", budget=16_000_000
     ),
-    "sb3-sac": Registered(
-        "fishmj.train.hyperparameters:SACConfig", "fishmj.train.sb3:StableSAC", 1_000_000, train="fishmj.train.sb3:train_sb3"
-    ),
+    "sb3-sac": _STABLE_SAC,
 }
 
 

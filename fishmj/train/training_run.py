@@ -32,14 +32,14 @@ from fishmj.train import training_cost
 from fishmj.train.begin import begun
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers, reported
-from fishmj.train.settings import FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
+from fishmj.train.settings import ALGORITHMS, FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
 from fishmj.water.choice import LBM
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # kept in a checkpoint beside the arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
 MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
 MAX_FAILED = 0.02  # the same in the flow solver, whose water can fail round a fish that thrashes
-PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions a run states
+PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions every run states
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
 
@@ -430,13 +430,19 @@ def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) ->
     said = as_dict(settings)
     made = {"engine": pick_engine(settings), "preset": settings.preset, "task": said["task"], "reward": said["reward"]}
     made |= {"solver": said["solver"]} if settings.engine == LBM else {}
-    made |= {"hyperparameters": said["algorithm"], MADE_BY: made_by(*PACKAGES), "machine": training_cost.machine()}
+    made |= {"hyperparameters": said["algorithm"], MADE_BY: programs(settings), "machine": training_cost.machine()}
     policy_of(network, settings, {**made, **meta}).save(path)
+
+
+def programs(settings: Settings) -> dict:
+    """Versions of the programs of a run, and the commit."""
+    own = ALGORITHMS[settings.algo].packages if settings.algo in ALGORITHMS else ()
+    return made_by(*PACKAGES, *own, *(["warp-lang"] if settings.engine == LBM else []))
 
 
 def write_settings(settings: Settings, folder: Path) -> None:
     """Writes the run's file of settings: all of them, the seed, and the versions."""
-    store.write_json(folder / FILE, as_dict(settings) | {MADE_BY: made_by(*PACKAGES)})
+    store.write_json(folder / FILE, as_dict(settings) | {MADE_BY: programs(settings)})
 
 
 def summary_of(

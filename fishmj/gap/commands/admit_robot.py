@@ -2,7 +2,8 @@
 
 The described model predicts some segments (records/shooting.py), as logged and as if one mistake were undone:
 
-    two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; commands earlier or later
+    two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; degrees for radians;
+    commands earlier or later
 
 A mistake that explains the logs FAR times better than the logs as they are is one. A search with it would name an imitation.
 """
@@ -11,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
 from fishmj import effects
@@ -24,22 +26,11 @@ from fishmj.gap.wording import number
 FAR = 3.0  # times smaller mean square error
 CLOSE = 0.01  # mean square error over that of the movement, below which nothing is doubted
 PROBED = 16  # segments
-SHIFTS = (
-    -0.5,
-    -0.4,
-    -0.3,
-    -0.2,
-    -0.15,
-    -0.1,
-    -0.06,
-    -0.03,
-    0.25,
-    0.3,
-    0.4,
-    0.5,
-)  # s that commands come later than logged; to 0.2 an effect
+# s that commands come later than logged; to 0.2 an effect
+SHIFTS = (-0.5, -0.4, -0.3, -0.2, -0.15, -0.1, -0.06, -0.03, 0.25, 0.3, 0.4, 0.5)
 TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
 OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
+STILL = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
 JUMP = 1.5  # rad from one reading to the next
 
 
@@ -72,7 +63,7 @@ def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], any
 
 
 def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
-    """Readings beyond a joint's range, and jumps that no turn of 2 pi explains."""
+    """Readings beyond a joint's range, jumps that no turn of 2 pi explains, and a joint that never moves."""
     out, m = [], robot.model
     for j, joint in enumerate(robot.joints):
         q = np.concatenate([r.joint.values[:, j] for r in records])
@@ -82,6 +73,10 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
             if beyond > OUTSIDE:
                 told = f"{100 * beyond:.0f} % of its readings are beyond its range, {low:.3g} to {high:.3g}"
                 out.append(f"joint {joint.name}: {told}: another zero, unit or joint? State it in a map, --columns MAP.toml")
+        if np.ptp(q) == 0 and joint.actuator >= 0 and any(np.ptp(r.commands[:, joint.actuator]) > 0 for r in records):
+            out.append(
+                f"joint {joint.name}: always {q[0]:.6g} while its commands change: is its encoder read, or is the joint held?"
+            )
         jump = max(
             float(np.abs(np.diff(r.joint.values[:, j])[np.diff(r.joint.t) < r.length / 3]).max(initial=0.0)) for r in records
         )
@@ -94,14 +89,25 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
 
 def mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
     """Likely mistakes, the best first; empty where the model is close to the logs."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)  # what is tried may diverge: not on the terminal, and no MUJOCO_LOG.TXT
+    try:
+        return _mistakes(robot, records)
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
     few = thinned(list(records), PROBED)
     model = RigidRobot(robot, sizes_of(robot, few), [effects.robot_catalogue()["command_latency"]])
-    still, plain = _error(few, None), _error(few, model)
+    still, plain = np.maximum(_error(few, None), STILL), _error(few, model)
     if np.mean(plain / still) < CLOSE:
         return []
     found = []
     for what, remedy, changed in undone(robot, few):
-        found.append(Mistake(what, remedy, _ratio(plain / still, _error(changed, model) / _error(changed, None))))
+        found.append(
+            Mistake(what, remedy, _ratio(plain / still, _error(changed, model) / np.maximum(_error(changed, None), STILL)))
+        )
     rows = np.tile(model.null, (len(SHIFTS), 1))
     rows[:, model.index("command_latency", "delay")] = SHIFTS
     for shift, error in zip(SHIFTS, _errors(few, model.predict(few, rows)), strict=True):
@@ -136,6 +142,13 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[tupl
                 f"its encoder has another zero; state zero for it {table}",
                 _turned(records, zero),
             )
+    hinges = np.array([robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE for j in robot.joints])
+    for what, unit, factor in (("degrees", "deg", np.pi / 180), ("radians", "rad", 180 / np.pi)):
+        turns = [_of_angles(r, np.where(hinges, factor, 1.0)) for r in records]
+        yield f"reading positions in {what}", f'state unit = "{unit}", or the scale of a gear, for the joints {table}', turns
+        if robot.model.actuator_biasprm[:, 1].any():
+            both = [r._replace(commands=r.commands * factor) for r in turns]
+            yield f"reading positions and commands in {what}", f'state unit = "{unit}" for both {table}', both
     for i, k in combinations(range(len(names)), 2):
         order = list(range(len(names)))
         order[i], order[k] = k, i

@@ -92,7 +92,8 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
         sheet = read_sheet(files[0])
         torques = not robot.model.actuator_biasprm[:, 1].any()
         try:
-            found = guess_columns(list(sheet.columns), joints, actuators, torques)
+            units = {name: own.units.get(column, "") for name, (own, column) in sheet.columns.items()}
+            found = guess_columns(list(sheet.columns), joints, actuators, torques, units)
         except LogError as error:
             raise LogError(f"{sheet.where}: {error}") from error
         console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))

@@ -19,7 +19,7 @@ value = sign (cell - zero) scale unit.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,9 @@ from pydantic import ValidationError
 
 from fishmj.base.errors import FishmjError, LogError
 from fishmj.log import Trial, numbered
+from fishmj.log.importers import header
 from fishmj.log.importers.column_map import Column, Stamp, map_table
+from fishmj.log.importers.column_units import SI, UNITS, measures, time_unit, unit_of
 from fishmj.log.importers.gather import is_recording, read_sheets
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare
@@ -38,30 +40,17 @@ SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz", ".pt")
 TIME = {"t", "time", "timestamp", "stamp", "seconds", "sec"}
 POSITION = {"pos", "position", "q", "angle", "ang", "theta", "qpos", "deg", "rad", "state", "states", "observation"}
 JOINT = {"joint", "joints"}
-ASKED = {
-    "cmd",
-    "command",
-    "commands",
-    "commanded",
-    "ctrl",
-    "control",
-    "con",
-    "des",
-    "desired",
-    "target",
-    "ref",
-    "goal",
-    "setpoint",
-    "action",
-}
+ASKED = {"ctrl", "control", "con"} | header.COMMAND
 TORQUE = {"tau", "torque", "effort", "nm"}
-OTHERS = {"vel", "velocity", "dq", "qd", "qvel", "acc", "qacc", "fric", "temp", "temperature", "current", "voltage", "error"}
+OTHERS = {"dq", "qd", "qvel", "qacc", "fric", "voltage", "error"} | header.RATE | header.ACCELERATION
+OTHERS |= header.TEMPERATURE | header.CURRENT
 SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
 MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states"}
 CURRENT = {"current", "currents", "amp", "amps", "load", "pwm"}
-UNITS = {"deg": "deg", "degrees": "deg", "mrad": "mrad", "ms": "ms", "us": "us", "ns": "ns"}
+MILLI = {"mN": 1e-3, "mN m": 1e-3}  # N, N m
 PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
-LARGEST = 60.0  # rad: a joint that turns further is taken for one in degrees
+SLOWEST = 0.4  # s from row to row; a larger step is in another unit
+LARGEST, FASTEST, OVER = 60.0, 50.0, 0.02  # rad; rad/s over so many s: a joint beyond either is not in rad
 
 
 class RobotColumns(NamedTuple):
@@ -76,7 +65,8 @@ class RobotColumns(NamedTuple):
         unit = lambda c, otherwise: f" [{c.unit or otherwise}]"
         out = [f"{self.time.column} -> time{unit(self.time, 's')}"]
         out += [f"{c.column} -> position of {name}{unit(c, 'rad or m')}" for name, c in self.joint.items()]
-        return out + [f"{c.column} -> command of {name}" for name, c in self.actuator.items()]
+        scale = lambda c: f" times {c.scale:g}" if c.scale != 1 else ""
+        return out + [f"{c.column} -> command of {name}{scale(c)}" for name, c in self.actuator.items()]
 
     def doubts(self) -> list[str]:
         """Warnings about commands that were measured: a current times a constant is a torque only as far as the constant is."""
@@ -111,31 +101,52 @@ def _column(given: Any, where: str, kind: Any) -> Any:
     return found
 
 
-def guess_columns(names: Sequence[str], joints: Sequence[str], actuators: Sequence[str], torques: bool) -> RobotColumns:
-    """Columns by their names. torques: True if the model's actuators take torques, not positions.
+def guess_columns(
+    names: Sequence[str], joints: Sequence[str], actuators: Sequence[str], torques: bool, units: Mapping[str, str] | None = None
+) -> RobotColumns:
+    """Columns by their names.
+
+    Args:
+        torques: True if the model's actuators take torques, not positions. units: stated by the file beside the names.
 
     Raises:
         LogError: nothing fits, or two fit as well.
     """
-    stamps = [n for n in names if _words(n) & TIME]
-    if not stamps:
-        raise LogError(f'no column of stamps among {_listed(names)}; name it in a map, --columns MAP.toml: time = "..."')
-    measured = _best("positions of the joints", "joint", names, joints, lambda w: _position_score(w))
-    asked = _best("commands of the actuators", "actuator", names, actuators, lambda w: _command_score(w, torques))
-    unit = next((UNITS[w] for w in _words(stamps[0]) if w in ("ms", "us", "ns")), "")
+    last = {word for site in (*joints, *actuators) for word in header.words(site)[-1:]}  # pos_a of joint a is no ampere
+    unit = {n: "" if last & set(header.words(n)[-1:]) and n[-1:].isalnum() else header.parse(n).unit for n in names}
+    unit = {n: u or (units or {}).get(n, "") or _angle(n) for n, u in unit.items()}
+    moves, asks = ("angle", "length"), ("torque", "force") if torques else ("angle", "length")
+    fits = lambda kinds: {n: measures(unit[n]) in ("", *kinds) for n in names}
+    measured = _best("positions of the joints", "joint", fits(moves), joints, lambda w: _position_score(w))
+    asked = _best("commands of the actuators", "actuator", fits(asks), actuators, lambda w: _command_score(w, torques))
     return RobotColumns(
-        Stamp(column=stamps[0], unit=unit),
-        {name: Column(column=column, unit=_unit(column)) for name, column in measured.items()},
-        {name: Column(column=column, unit="" if torques else _unit(column)) for name, column in asked.items()},
+        _stamp(names, unit),
+        {name: Column(column=c, unit="" if unit[c] in ("rad", "m") else unit[c]) for name, c in measured.items()},
+        {
+            name: Column(column=c, scale=MILLI.get(unit[c], 1.0)) if torques else Column(column=c, unit=unit[c])
+            for name, c in asked.items()
+        },
     )
 
 
+def _stamp(names: Sequence[str], units: Mapping[str, str]) -> Stamp:
+    """The column of stamps and its unit. Raises LogError: none, or several."""
+    found = [n for n in names if _words(n) & TIME and measures(units.get(n, "")) in ("", "time")]
+    plain = [n for n in found if _words(n) <= TIME | {units.get(n, "")} and not re.search(r"\d", n)]
+    found = plain or found
+    if len(found) != 1:
+        why = f"stamps: {' or '.join(map(bare, found[:4]))}?" if found else f"no column of stamps among {_listed(names)};"
+        raise LogError(f'{why} Name it in a map, --columns MAP.toml: time = "..."')
+    return Stamp(column=found[0], unit=units.get(found[0], ""))
+
+
+def _angle(column: str) -> str:
+    """Unit of an angle that is a word of the name; "" without one."""
+    return next((unit for word in ("deg", "degrees", "mrad", "rad") if word in _words(column) for unit in [unit_of(word)]), "")
+
+
 def _words(name: str) -> set[str]:
-    return set(re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()))
-
-
-def _unit(column: str) -> str:
-    return next((UNITS[w] for w in _words(column) if w in ("deg", "degrees", "mrad")), "")
+    return {word for word in header.words(name) if not word.isdecimal()}
 
 
 def _position_score(words: set[str]) -> int:
@@ -152,30 +163,41 @@ def _command_score(words: set[str], torques: bool) -> int:
     return 4 * bool(words & ASKED) + 2 * bool(words & (TORQUE if torques else POSITION))
 
 
-def _best(what: str, table: str, names: Sequence[str], sites: Sequence[str], score) -> dict[str, str]:
-    """Site -> column of the family with the highest score."""
-    found = {}
-    for name in names:
+def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str], score) -> dict[str, str]:
+    """Site -> column of the family with the highest score. names: True for those whose unit fits.
+
+    Raises LogError: none, or two columns for one site.
+    """
+    found: dict[str, dict[int, list[str]]] = {}
+    for name in (name for name, fits in names.items() if fits):
         for place, key in _places(name, sites):
-            found.setdefault(key, {}).setdefault(place, name)
+            found.setdefault(key, {}).setdefault(place, []).append(name)
     whole = {key: by for key, by in found.items() if set(by) == set(range(len(sites)))}
     ranked = sorted(((score(_words(key)), key) for key in whole), reverse=True)
     if not ranked or ranked[0][0] <= 0:
-        raise LogError(f"no columns for the {what} among {_listed(names)}; name them in a map, --columns MAP.toml, [{table}]")
-    if len(ranked) > 1 and ranked[1][0] == ranked[0][0]:
-        both = " or ".join(whole[key][0] for _, key in ranked[:2])
-        raise LogError(f"{what}: {both}? Name them in a map, --columns MAP.toml, [{table}]")
-    return {site: whole[ranked[0][1]][i] for i, site in enumerate(sites)}
+        raise LogError(
+            f"no columns for the {what} among {_listed(list(names))}; name them in a map, --columns MAP.toml, [{table}]"
+        )
+    best = [whole[key] for points, key in ranked if points == ranked[0][0]]
+    for i, site in enumerate(sites):
+        if len(candidates := [name for by in best for name in by[i]]) > 1:
+            raise LogError(f"{what}: {site}: {' or '.join(candidates)}? Name them in a map, --columns MAP.toml, [{table}]")
+    return {site: best[0][i][0] for i, site in enumerate(sites)}
 
 
-def _places(name: str, sites: Sequence[str]):
-    """(number of the site, rest of the name) in which a column's name may be of a site: by its name, or by a number."""
-    lower = name.lower()
-    for i, site in sorted(enumerate(sites), key=lambda pair: -len(pair[1])):
-        if site.lower() in lower:
-            yield i, "name of " + lower.replace(site.lower(), "#", 1)
-            return
+def _places(name: str, sites: Sequence[str]) -> Iterator[tuple[int, str]]:
+    """(number of the site, rest of the name) in which a column's name may be of a site: by the site's words, or by a number."""
+    words = header.words(name)
+    named = []
+    for i, site in enumerate(sites):
+        own = header.words(site)
+        named += [(i, k, len(own)) for k in range(len(words) - len(own) + 1) if own and words[k : k + len(own)] == own]
+    for i, k, n in named:
+        if not any(m > n and j <= k and k + n <= j + m for _, j, m in named):  # hip in left_hip is no hip
+            yield i, "name of " + " ".join([*words[:k], "#", *words[k + n :]])
     digits = list(re.finditer(r"\d+", name))
+    if named:
+        return
     if digits:
         last = digits[-1]
         for first in (0, 1):
@@ -241,13 +263,18 @@ class LogTable(NamedTuple):
         if any(other is not sheet for other, _ in found):
             topics = ", ".join(dict.fromkeys(other.name for other, _ in found))
             raise LogError(f"{self.where}: {topics}: columns of one table are in several topics; expected them in one")
-        clock = stamp.column if stamp.column in sheet.columns else next((n for n in sheet.columns if _words(n) & TIME), "")
-        if clock not in sheet.columns:
+        if stamp.column not in sheet.columns and len(self.sheets) == 1:
             raise LogError(f"{sheet.where}: no column {stamp.column!r} of stamps; it has {_listed(list(sheet.columns))}")
+        clock = stamp if stamp.column in sheet.columns else _stamp(list(sheet.columns), sheet.units)  # of its topic
+        for c, (_, name) in zip(columns, found, strict=True):
+            said = sheet.units.get(name, "")
+            if c.scale == 1.0 and measures(said) in ("angle", "length") and UNITS[said][1] != abs(c.factor):
+                told = f"the file says {said}, expected {c.unit or SI[measures(said)]}"
+                raise LogError(f"{sheet.where}: column {name!r}: {told}; state its unit in a map, --columns MAP.toml")
         values = [
             c.factor * (np.asarray(sheet.columns[name], float) - c.zero) for c, (_, name) in zip(columns, found, strict=True)
         ]
-        return np.asarray(sheet.columns[clock], float) * stamp.factor, np.stack(values, 1)
+        return np.asarray(sheet.columns[clock.column], float) * clock.factor, np.stack(values, 1)
 
 
 def log_tables(path: Path) -> list[LogTable]:
@@ -274,12 +301,20 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
         t, values = table.read(columns.time, list(part.values()))
         if key == "joint":
-            _refuse_degrees(table, columns, values)
+            _refuse_degrees(table, columns, t, values)
         keep = np.isfinite(t) & np.isfinite(values).all(1)
         if keep.sum() < 2:
             raise LogError(f"{table.where}: {keep.sum()} rows have all of {_listed([str(c.column) for c in part.values()])}")
         if not np.all(np.diff(t[keep]) > 0):
-            raise LogError(f"{table.where}: stamps {columns.time.column} do not rise; sort the rows, and remove doubles")
+            i = int(np.argmax(np.diff(t[keep]) <= 0))
+            told = f"{t[keep][i + 1]:.10g} s after {t[keep][i]:.10g} s, row {np.flatnonzero(keep)[i + 1] + 1}"
+            remedy = "sort the rows, remove doubles, or split the file where the clock begins again"
+            raise LogError(f"{table.where}: stamps {columns.time.column} do not rise: {told}; {remedy}")
+        if (step := float(np.median(np.diff(t[keep])))) > SLOWEST and not columns.time.unit:
+            line = f'time = {{ column = "{columns.time.column}", unit = "{time_unit(t[keep])[0] or "ms"}" }}'
+            raise LogError(
+                f"{table.where}: a row every {step:.4g} s; is it s? State the unit in a map, --columns MAP.toml: {line}"
+            )
         tables[key] = {"t": t[keep], **numbered(template, values[keep])}
     return Trial({}, tables, name=table.name, notes=tuple(note for sheet in table.sheets for note in sheet.notes))
 
@@ -301,12 +336,21 @@ def in_parts(log: Trial) -> list[Trial]:
     return out
 
 
-def _refuse_degrees(table: LogTable, columns: RobotColumns, moved: np.ndarray) -> None:
+def _refuse_degrees(table: LogTable, columns: RobotColumns, t: np.ndarray, moved: np.ndarray) -> None:
+    """Raises LogError for a joint that turns too far or too fast for radians, unless a map states rad or m."""
     for (name, c), values in zip(columns.joint.items(), moved.T, strict=True):
-        far = np.nanmax(np.abs(values), initial=0.0)
-        if far > LARGEST:
-            unit = f"is {c.column} in degrees, or in a scale of its own as -100 to 100? State its unit or scale"
-            raise LogError(f"{table.where}: joint {name} turns to {far:.3g} rad; {unit} in a map, --columns MAP.toml")
+        if c.unit in ("rad", "m"):
+            continue
+        rows = np.isfinite(t) & np.isfinite(values)
+        clock, angle = t[rows], np.unwrap(values[rows])
+        far = np.max(np.abs(values[rows]), initial=0.0)
+        later = np.interp(clock + OVER, clock, angle) - angle if len(clock) else np.zeros(1)
+        fast = float(np.quantile(np.abs(later), 0.9)) / OVER
+        told = f"turns to {far:.3g} rad" if far > LARGEST else f"turns at {fast:.3g} rad/s" if fast > FASTEST else ""
+        if told:
+            unit = f"is {c.column} in degrees, of a motor before its gear, or in a scale of its own as -100 to 100"
+            remedy = "State its unit (rad, if it is right) or scale in a map, --columns MAP.toml"
+            raise LogError(f"{table.where}: joint {name} {told}; {unit}? {remedy}")
 
 
 def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:

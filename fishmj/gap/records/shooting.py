@@ -21,7 +21,7 @@ from fishmj.log import Trial
 from fishmj.log.trial import stacked
 
 FILE = "robot.toml"
-PAUSE = 0.1  # s without a reading, or five usual steps: no segment crosses it
+PAUSE = 0.1  # s without a reading or a steady command, or five usual steps: no segment crosses it
 TURN = 3.0  # rad from one reading to the next: the encoder wrapped round
 
 
@@ -95,12 +95,13 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
     length = window * round(segments["length"] / window)
     first = window * np.ceil(max(half, t[0] + half) / window)
     starts = np.arange(first, t[-1] - length, length)
-    pause = max(PAUSE, 5.0 * step)
-    breaks = np.flatnonzero(np.diff(t) > pause)
-    whole = [s for s in starts if not np.any((t[breaks + 1] > s - half) & (t[breaks] < s + length))]
+    sent = np.asarray(cmd["t"], float) - begin
+    steady = len(sent) > 1 and np.quantile(np.diff(sent), 0.75) < 1.5 * np.median(np.diff(sent))  # no commands by event
+    pauses = np.concatenate([pauses_in(t), *([pauses_in(sent)] if steady else [])])
+    whole = [s for s in starts if not np.any((pauses[:, 1] > s - half) & (pauses[:, 0] < s + length))]
     if not whole:
-        whole_log = f"{t[-1] - t[0]:.2g} s with {len(breaks)} pauses"
-        raise LogError(f"log {trial.name}: no {length:g} s without a pause of {pause:.2g} s in {whole_log}; record it anew")
+        whole_log = f"{t[-1] - t[0]:.2g} s with {len(pauses)} pauses"
+        raise LogError(f"log {trial.name}: no {length:g} s without a pause in {whole_log}; record it anew")
     starts = np.array(whole)
     fits = [_local(t, q, s, half, degree=3) for s in starts]
     finer = [_local(t, q, s, half, degree=5) for s in starts]
@@ -116,7 +117,7 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
         excitation=str(trial.value("excitation", "") or ""),
         replicate_of=str(trial.value("replicate_of", "") or ""),
         dt=dt,
-        sent=np.asarray(cmd["t"], float) - begin,
+        sent=sent,
         commands=stacked(cmd, "c#"),
         joint=Sensor(t[used], q[used], sigma),
         starts=starts,
@@ -128,6 +129,12 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
         rate_error=np.maximum(error[1], spread[1]),
         channels={"joint": joints},
     )
+
+
+def pauses_in(t: np.ndarray) -> np.ndarray:
+    """(K, 2) s: begin and end of each pause in stamps (T,)."""
+    late = np.flatnonzero(np.diff(t) > max(PAUSE, 5.0 * float(np.median(np.diff(t)))))
+    return np.stack([t[late], t[late + 1]], 1)
 
 
 def robot_records(trials: Sequence[Trial], dt: float, joints: tuple[str, ...]) -> list[RobotRecord]:

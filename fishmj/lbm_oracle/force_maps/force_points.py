@@ -1,26 +1,18 @@
 """Points of a force map: definition, duration, table, and several tanks that compute them side by side."""
 
-import csv
-import json
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
-from io import StringIO
 from math import ceil
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.base import console
-from fishmj.base.errors import ConfigError, StoreError
-from fishmj.base.store import write_json, write_text
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.cases.maps import average
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop
+from fishmj.lbm_oracle.run.finished_rows import OK
+from fishmj.lbm_oracle.run.run import Run, TankRun
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop, side_by_side
 
-OK = "ok"
 SETTLE = 5.0  # body lengths of water that pass before the average begins
 WINDOW = 6.0  # m of water averaged over: ten periods of a wake of 0.1 m at a Strouhal number of 0.17
 SHORTEST = 10  # ticks; fewer say nothing about their own scatter
@@ -69,64 +61,6 @@ class AveragingTimes:
         return round(settle / tick), round(seconds / tick)
 
 
-class Table:
-    """Finished points in `folder/forcemap.csv`, replaced as a whole with every point, beside the set-up they share.
-
-    Raises:
-        ConfigError: the folder holds points of another set-up. StoreError: a file there is damaged.
-    """
-
-    def __init__(self, folder: Path, setup: dict, notes: dict | None = None):
-        self.path, self.rows = folder / "forcemap.csv", {}
-        self.about, self.notes = folder / "setup.json", (notes or {}) | {"setup": setup}
-        if self.path.exists():
-            self._check(self.about, setup)
-            self.rows = {_point(row): row for row in _read(self.path)}
-
-    @staticmethod
-    def _check(about: Path, setup: dict) -> None:
-        try:
-            before = json.loads(about.read_text(encoding="utf-8"))["setup"]
-        except (OSError, ValueError, KeyError) as error:
-            raise StoreError(f"{about}: {error!r}; it says how the points beside it were made. Take another --out") from error
-        other = [f"{key} = {before.get(key)} (now {value})" for key, value in setup.items() if before.get(key) != value]
-        if other:
-            raise ConfigError(f"{about.parent} holds points of another set-up: {', '.join(other)}. Take another --out")
-
-    def __contains__(self, point: Point) -> bool:
-        return point in self.rows
-
-    def __getitem__(self, point: Point) -> dict:
-        return self.rows[point]
-
-    def add(self, point: Point, row: dict) -> None:
-        """Keeps a point; it is on disk before this returns."""
-        if not self.rows:
-            write_json(self.about, self.notes)
-        self.rows[point] = row
-        text = StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows[p] for p in sorted(self.rows))
-        write_text(self.path, text.getvalue())
-
-
-def _read(path: Path) -> list[dict]:
-    rows = []
-    with path.open(encoding="utf-8", newline="") as file:
-        for number, found in enumerate(csv.DictReader(file), 2):
-            try:
-                rows.append({name: found[name] if name in ("what", "status") else float(found[name]) for name in COLUMNS})
-            except (KeyError, TypeError, ValueError) as error:
-                raise StoreError(f"{path}:{number}: {error!r}; delete the line, its point is then run again") from error
-    return rows
-
-
-def _point(row: dict) -> Point:
-    what, joint, aoa, speed = (row[key] for key in KEYS)
-    return Point(what, joint, aoa, speed)
-
-
 def loads(run: Run, first: int = 0) -> np.ndarray:
     """(T, 3) drag N, lateral force N and yaw moment N m about the reference point, of the ticks from `first` on.
 
@@ -161,59 +95,13 @@ def row_of(point: Point, run: Run, settle: int) -> dict:
     return row | {"refined_ticks": run.refined, "status": " ".join(run.stopped.split()) or OK}
 
 
-def measure(
-    points: Sequence[Point],
-    make: Callable[[Point], Run],
-    plan: AveragingTimes,
-    *,
-    tick: float,
-    tanks: int = 1,
-    finished: Callable[[Point, dict, Run], None],
-    quiet: bool = False,
-) -> None:
-    """Runs every point in this process, with a line of progress; `finished` gets each with its row and run."""
-    begun = partial(measure_points, deque(points), make, plan, tick=tick, tanks=tanks)
-    for point, row, run in with_progress(lambda go_on: begun(go_on=go_on), points, plan, tick=tick, quiet=quiet):
-        finished(point, row, run)
-
-
 def measure_points(
     waiting: Waiting, make: Callable[[Point], Run], plan: AveragingTimes, *, tick: float, tanks: int = 1, go_on: GoOn = never_stop
 ) -> Iterator[tuple[Point, dict, Run]]:
-    """Yields points with their rows and runs as they finish, `tanks` side by side; a free tank takes the next point.
+    """Yields points with their rows and runs as they finish, also early; arguments as `side_by_side`."""
 
-    A point that stops early is also finished. go_on: called after every tick with the simulated seconds of unfinished points.
-    """
-    if tanks < 1:
-        raise ConfigError(f"forcemap: {tanks} tanks; expected at least 1")
-    side: list[tuple[Point, Run, int, int]] = []  # point, run, ticks before the average, ticks in all
-    while side or waiting:
-        while len(side) < tanks and waiting:
-            point = waiting.popleft()
-            settle, window = plan.ticks(point.speed, tick)
-            side.append((point, make(point), settle, settle + window))
-        ConcurrentRuns([run for _, run, _, _ in side]).tick()
-        for entry in list(side):
-            point, run, settle, end = entry
-            if run.ticks >= end or run.stopped:
-                side.remove(entry)
-                yield point, row_of(point, run, settle), run
-        if not go_on(sum(run.ticks for _, run, _, _ in side) * tick):
-            return
+    def start(point: Point) -> TankRun:
+        settle, window = plan.ticks(point.speed, tick)
+        return TankRun(make(point), settle + window, lambda run: (point, row_of(point, run, settle), run))
 
-
-def with_progress(
-    begin: Callable[[GoOn], Iterator[tuple]], points: Sequence[Point], plan: AveragingTimes, *, tick: float, quiet: bool
-):
-    """Yields the results of `begin(go_on)` for these points, with a line of progress in simulated seconds."""
-    seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
-    done = 0.0
-    with console.Progress(sum(map(seconds, points)), "forcemap", unit="s", every=1e9 if quiet else None) as bar:
-
-        def told(under_way: float) -> bool:
-            bar.update(done + under_way)
-            return True
-
-        for found in begin(told):
-            done += seconds(found[0])
-            yield found
+    return side_by_side(waiting, start, tanks=tanks, go_on=go_on)

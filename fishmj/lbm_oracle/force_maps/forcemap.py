@@ -26,12 +26,13 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.figures import canvas, save, style
 from fishmj.base.units import WATER_DENSITY, WATER_VISCOSITY
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.force_maps.force_points import OK, AveragingTimes, Point, Table, measure_points, with_progress
+from fishmj.lbm_oracle.force_maps.force_points import COLUMNS, KEYS, AveragingTimes, Point, measure_points
 from fishmj.lbm_oracle.force_maps.point_fields import keep, panels, slice_path
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.output.slices import add_fields
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
+from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
@@ -56,11 +57,12 @@ def main(argv: list[str]) -> int:
             limit = 180 / pi * robot.servo.range
             raise ConfigError(f"forcemap: joint angle {point.joint:g} deg; the joints of {robot.name} turn by {limit:g} at most")
         plan.ticks(point.speed, robot.timing.bus_dt)  # refuses what is too short
-    table = Table(Path(args.out), _setup(args, domain), {"source": "fishmj.lbm_oracle forcemap", "origin": "synthetic"})
     out = Path(args.out)
-    left = [p for p in points if not (p in table and (not _pictured(args, p) or slice_path(out, p).exists()))]
+    book = FinishedRows(out / "forcemap.csv", COLUMNS, len(KEYS), _setup(args, domain), "forcemap")
+    left = [p for p in points if not (p in book.rows and (not _pictured(args, p) or slice_path(out, p).exists()))]
     tick = robot.timing.bus_dt
-    held = [(level, sum(plan.ticks(point.speed, tick)) * tick) for point in left for level in domain.levels]
+    seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
+    held = [(level, seconds(point)) for point in left for level in domain.levels]
     less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
     if args.domain in PREVIEWS:
@@ -71,16 +73,16 @@ def main(argv: list[str]) -> int:
     pictured = {"out": out, "points": [p for p in left if _pictured(args, p)], "z": args.slice, "whole": args.volume}
     work = partial(on_device, domain=domain, plan=plan, tanks=args.tanks, options=options, pictured=pictured)
     devices = devices_of(args.device) if left else ()
-    for point, row in with_progress(lambda go_on: spread(work, left, devices, go_on), left, plan, tick=tick, quiet=args.json):
-        table.add(point, row)
-    rows = [table[p] for p in points]
+    begin = lambda go_on: spread(work, left, devices, go_on)
+    keep_rows(book, begin, sum(map(seconds, left)), seconds, "forcemap", args.json)
+    rows = [book.rows[p] for p in points]
     pictures = draw_forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
     console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))
     lost = [row for row in rows if row["status"] != OK]
     for row in lost:
         console.warn(f"joints {row['joint_deg']} deg, AoA {row['aoa_deg']} deg, {row['speed']} m/s: {row['status']}")
     if args.json:
-        console.emit_json({"rows": rows, "stopped": len(lost), "csv": table.path, "pictures": pictures})
+        console.emit_json({"rows": rows, "stopped": len(lost), "csv": book.path, "pictures": pictures})
     return console.FAILED_CHECK if lost else console.OK
 
 

@@ -13,11 +13,10 @@ Each finished run is a row of `converge.csv`. The same command does the missing 
 refused. To repeat a run, delete its line.
 """
 
-import csv
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import partial
-from io import StringIO
 from math import radians
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,14 +25,14 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.calib import constant
-from fishmj.base.errors import ConfigError, StoreError
-from fishmj.base.store import read_json, write_json, write_text
+from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.force_maps.force_points import OK, AveragingTimes, Point, measure
+from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, measure_points
 from fishmj.lbm_oracle.force_maps.forcemap import stage
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
+from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
@@ -112,15 +111,14 @@ def force_when_held(what: str, domain: Domain, plan: AveragingTimes, options: di
     """Force or moment of the held fish: straight along the stream, straight across it, or bent; options as of `cruise`."""
     point, column = HELD[what]
     robot = load_robot(options["robot"])
-    rows: list[dict] = []
 
     def make(point: Point):
         joints = point.joints(robot.n_joints)
         made = stage(domain, point, **options)
         return made.run(tethered=True, prescribed=lambda t: joints)
 
-    measure([point], make, plan, tick=robot.timing.bus_dt, finished=lambda point, row, run: rows.append(row), quiet=True)
-    row, (name, unit) = rows[0], column.split("_")
+    ((_, row, _),) = measure_points(deque([point]), make, plan, tick=robot.timing.bus_dt)
+    name, unit = column.split("_")
     return ConvergenceResult(row[column], row[f"{name}_sem_{unit}"], row["seconds"], row["status"])
 
 
@@ -134,47 +132,6 @@ def on_device(
         options = {"robot": robot, "slip": key.slip, "device": device, "sharpness": edge}
         found = cruise(grid, beats, options) if key.what == "cruise" else force_when_held(key.what, grid, plan, options)
         yield key, found, time.perf_counter() - start
-
-
-class ConvergenceTable:
-    """Finished runs in `folder/converge.csv`, beside the set-up that they share.
-
-    Raises:
-        ConfigError: the folder holds another set-up. StoreError: a line there is damaged.
-    """
-
-    def __init__(self, folder: Path, setup: dict):
-        self.path, self.rows, self.setup = folder / "converge.csv", {}, setup
-        self.about = folder / "setup.json"
-        if not self.path.exists():
-            return
-        before = read_json(self.about).get("setup", {})
-        if before != setup:
-            other = [f"{key} = {before.get(key)} (now {value})" for key, value in setup.items() if before.get(key) != value]
-            raise ConfigError(f"{folder} holds runs of another set-up: {', '.join(other)}. Take another --out")
-        with self.path.open(encoding="utf-8", newline="") as file:
-            for number, read in enumerate(csv.DictReader(file), 2):
-                try:
-                    row = {name: read[name] if name in ("what", "status") else float(read[name]) for name in COLUMNS}
-                except (KeyError, TypeError, ValueError) as error:
-                    raise StoreError(f"{self.path}:{number}: {error!r}; delete the line, its run is then done again") from error
-                self.rows[_key(row)] = row
-
-    def add(self, key: Key, found: ConvergenceResult, wall: float) -> None:
-        """Keeps a run; it is on disk before this returns."""
-        if not self.rows:
-            notes = {"source": "fishmj.lbm_oracle converge fish", "origin": "synthetic", "setup": self.setup}
-            write_json(self.about, notes)
-        self.rows[key] = key._asdict() | found._asdict() | {"wall_s": round(wall, 1)}
-        text = StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows[k] for k in sorted(self.rows))
-        write_text(self.path, text.getvalue())
-
-
-def _key(row: dict) -> Key:
-    return Key(row["what"], row["dx"], row["dt"], row["slip"])
 
 
 def biases(rows: Iterable[dict]) -> list[dict]:
@@ -209,7 +166,8 @@ def main(argv: list[str]) -> int:
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
     edge = BOUNDARIES[args.boundary]
-    book = ConvergenceTable(Path(args.out), setup | boundary_entry(edge) | robot_entry(robot))
+    setup |= boundary_entry(edge) | robot_entry(robot)
+    book = FinishedRows(Path(args.out) / "converge.csv", COLUMNS, 4, setup, "converge fish")
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
@@ -223,7 +181,7 @@ def main(argv: list[str]) -> int:
     work = partial(on_device, domain=args.domain, beats=args.beats, plan=plan, edge=edge, robot=args.robot)
     with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:
         for number, (key, found, wall) in enumerate(spread(work, left, devices)):
-            book.add(key, found, wall)
+            book.add(key, found._asdict() | {"wall_s": round(wall, 1)})
             bar.update(number + 1)
     rows = [book.rows[key] for key in keys]
     table, lost = biases(rows), [row for row in rows if row["status"] != OK]

@@ -17,11 +17,9 @@ speed of that robot was not measured.
 same command does the missing swims; another set-up in the same folder is refused.
 """
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from io import StringIO
 from math import radians
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,21 +28,20 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.calib import read_toml, resolve
-from fishmj.base.errors import ConfigError, LogError, StoreError
-from fishmj.base.store import read_json, write_json, write_text
+from fishmj.base.errors import ConfigError, LogError
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
+from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, study_slips
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
 from fishmj.mjcf import load_robot
 
 SLIPS = (0.6, 0.8, 0.9, 0.96, 0.98, 0.99)
 BEATS = 12.0
 LAST = 2  # beats that count
-OK = "ok"
 STEPS = 4001  # of s, between the least and the greatest that were swum
 COLUMNS = ("beat_hz", "slip", "speed_m_s", "gain_a_beat", "status")
 
@@ -124,67 +121,28 @@ def speed_of(run: Run, beat: float) -> tuple[float, float]:
     return now, (now / before - 1) / LAST if before > 0 else float("nan")
 
 
-class RealFishTable:
-    """Finished swims in `folder/real_fish.csv`, beside the set-up that they share.
-
-    Raises:
-        ConfigError: the folder holds another set-up. StoreError: a line there is damaged.
-    """
-
-    def __init__(self, folder: Path, setup: dict):
-        self.path, self.about, self.setup = folder / "real_fish.csv", folder / "setup.json", setup
-        self.rows: dict[tuple[float, float], dict] = {}
-        if not self.path.exists():
-            return
-        if (before := read_json(self.about).get("setup")) != setup:
-            raise ConfigError(f"{folder} holds swims of another set-up: {before} (now {setup}). Take another --out")
-        with self.path.open(encoding="utf-8", newline="") as file:
-            for number, read in enumerate(csv.DictReader(file), 2):
-                try:
-                    row: dict[str, Any] = {name: read[name] if name == "status" else float(read[name]) for name in COLUMNS}
-                except (KeyError, TypeError, ValueError) as error:
-                    raise StoreError(f"{self.path}:{number}: {error!r}; delete the line, its swim is then done again") from error
-                self.rows[row["beat_hz"], row["slip"]] = row
-
-    def add(self, key: tuple[float, float], found: dict) -> None:
-        """Keeps a swim; it is on disk before this returns."""
-        if not self.rows:
-            write_json(self.about, {"source": "fishmj.lbm_oracle real_fish", "origin": "synthetic", "setup": self.setup})
-        self.rows[key] = dict(zip(COLUMNS, key, strict=False)) | found
-        text = StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows[k] for k in sorted(self.rows))
-        write_text(self.path, text.getvalue())
-
-
 def run_swims(
     waiting: Waiting, device: str, go_on: GoOn, *, stage: SwimSetup, beats: float, tanks: int
 ) -> Iterator[tuple[tuple[float, float], dict]]:
-    """Yields key and row of each swim as it ends, `tanks` at a time side by side on a device.
+    """Yields key and row of each swim as it ends; arguments as `side_by_side`.
 
-    Args:
-        waiting: swims and slip ratios (`spread`).
-        go_on: called after every tick with the simulated seconds of the unfinished swims.
-        stage: their water.
+    waiting: swims and slip ratios. stage: their water.
     """
-    busy: list[tuple[RealSwim, float, Run, int]] = []
-    while busy or waiting:
-        while len(busy) < tanks and waiting:
-            swim, slip = waiting.popleft()
-            run = replace(stage, slip=slip, device=device).run(prescribed=swim.gait)
-            busy.append((swim, slip, run, round(beats / swim.beat / run.robot.timing.bus_dt)))
-        ConcurrentRuns([run for _, _, run, _ in busy]).tick()
-        for entry in list(busy):
-            swim, slip, run, end = entry
-            if run.ticks >= end or run.stopped:
-                busy.remove(entry)
-                enough = run.ticks * run.robot.timing.bus_dt * swim.beat > 2 * LAST
-                speed, gain = speed_of(run, swim.beat) if enough else (float("nan"), float("nan"))
-                status = " ".join(run.stopped.split()) or OK
-                yield (swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status}
-        if not go_on(sum(run.time for _, _, run, _ in busy)):
-            return
+
+    def start(key: tuple[RealSwim, float]) -> TankRun:
+        swim, slip = key
+        run = replace(stage, slip=slip, device=device).run(prescribed=swim.gait)
+        tick = run.robot.timing.bus_dt
+
+        def row(run: Run) -> tuple[tuple[float, float], dict]:
+            enough = run.ticks * tick * swim.beat > 2 * LAST
+            speed, gain = speed_of(run, swim.beat) if enough else (float("nan"), float("nan"))
+            status = " ".join(run.stopped.split()) or OK
+            return (swim.beat, slip), {"speed_m_s": speed, "gain_a_beat": gain, "status": status}
+
+        return TankRun(run, round(beats / swim.beat / tick), row)
+
+    return side_by_side(waiting, start, tanks=tanks, go_on=go_on)
 
 
 def _robot() -> str:
@@ -210,7 +168,7 @@ def main(argv: list[str]) -> int:
     setup = {"domain": domain.name, "dx": domain.dx, "beats": args.beats, "robot": robot.name}
     setup |= {} if same or robot.name != filmed.name else {"robot": f"{robot.name}, changed"}
     setup |= boundary_entry(BOUNDARIES[args.boundary])
-    book = RealFishTable(Path(args.out), setup)
+    book = FinishedRows(Path(args.out) / "real_fish.csv", COLUMNS, 2, setup, "real_fish")
     left = [(swim, slip) for swim in real for slip in args.slips if (swim.beat, slip) not in book.rows]
     water = sum(args.beats / swim.beat for swim, _ in left)
     less = "take fewer --slips, --swims or --beats; --domain laptop is a preview"
@@ -219,18 +177,10 @@ def main(argv: list[str]) -> int:
     if domain.name in PREVIEWS:
         console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     console.say(f"{len(left)} swims to do, {water:.0f} s of water, in {args.out}")
-    with console.Progress(max(water, 1e-9), "real_fish", unit="s", every=1e9 if args.json else None) as bar:
-        stage = SwimSetup(domain=domain, robot=args.robot or _robot(), sharpness=BOUNDARIES[args.boundary])
-        done = 0.0
-
-        def told(under_way: float) -> bool:
-            bar.update(done + under_way)
-            return True
-
-        swimming = partial(run_swims, stage=stage, beats=args.beats, tanks=args.tanks)
-        for key, found in spread(swimming, left, devices_of(args.device), told):
-            book.add(key, found)
-            done += args.beats / key[0]
+    stage = SwimSetup(domain=domain, robot=args.robot or _robot(), sharpness=BOUNDARIES[args.boundary])
+    swimming = partial(run_swims, stage=stage, beats=args.beats, tanks=args.tanks)
+    begin = lambda go_on: spread(swimming, left, devices_of(args.device), go_on)
+    keep_rows(book, begin, water, lambda key: args.beats / key[0], "real_fish", args.json)
     rows = [book.rows[swim.beat, slip] for swim in real for slip in args.slips]
     lost = [row for row in rows if row["status"] != OK]
     console.say(console.table(rows, COLUMNS))

@@ -28,7 +28,8 @@ from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
-from fishmj.lbm_oracle.run.run import ConcurrentRuns
+from fishmj.lbm_oracle.run.finished_rows import keep_rows
+from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
@@ -42,44 +43,34 @@ OF_THE_PAPER = {"amplitude_deg": 30.0, "lag_deg": 60.0}  # gait of rows that do 
 COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
 
 
-class GaitSwim:
-    """One free swim of a gait in still water, from rest, while it runs (`side_by_side`).
+def start_swim(key: tuple, box: Domain, beats: float, device: str, robot: str, sharpness: Sharpness) -> TankRun:
+    """One free swim of a gait in still water, from rest; its result is key and row.
 
-    key: frequency Hz, amplitude deg, lag from joint to joint deg, slip ratio, depth m.
+    Args:
+        key: frequency Hz, amplitude deg, lag from joint to joint deg, slip ratio, depth m.
+
+    Returns:
+        a row of speed m/s, path from the first heading deg, swing of the heading deg, servo power W, early end.
     """
+    frequency, amplitude, lag, slip, depth = key
+    joints = load_robot(robot).n_joints
+    gait = Gait(joints=joints, frequency=frequency, amplitude=radians(amplitude), lag=radians(lag))
+    run = SwimSetup(domain=box.changed(depth=depth), robot=robot, slip=slip, device=device, sharpness=sharpness).run()
 
-    def __init__(self, key: tuple, box: Domain, beats: float, device: str, robot: str, sharpness: Sharpness):
-        frequency, amplitude, lag, slip, depth = self.key = key
-        joints = load_robot(robot).n_joints
-        self.gait = Gait(joints=joints, frequency=frequency, amplitude=radians(amplitude), lag=radians(lag))
-        setup = SwimSetup(domain=box.changed(depth=depth), robot=robot, slip=slip, device=device, sharpness=sharpness)
-        self.run = setup.run()
-        self.end = round(beats / frequency / self.run.robot.timing.bus_dt)
-
-    @property
-    def water(self) -> float:
-        """Seconds of water so far."""
-        return self.run.time
-
-    def ticking(self) -> Iterator[None]:
-        """Does all ticks, pausing when other tanks can have their turn."""
-        tank = ConcurrentRuns([self.run])
-        while self.run.ticks < self.end and not self.run.stopped:
-            yield from tank.ticking(self.gait(self.run.time)[None])
-
-    def finished(self) -> tuple[tuple, dict]:
-        """Key and row: speed m/s, path from the first heading deg, swing of the heading deg, servo power W, early end."""
-        status = " ".join(self.run.stopped.split()) or "ok"
-        if not self.run.rows:
-            return self.key, dict.fromkeys(COLUMNS[len(KEYS) : -1]) | {"status": status}
-        found = figures(self.run, self.gait.frequency)
+    def row(run: Run) -> tuple[tuple, dict]:
+        status = " ".join(run.stopped.split()) or "ok"
+        if not run.rows:
+            return key, dict.fromkeys(COLUMNS[len(KEYS) : -1]) | {"status": status}
+        found = figures(run, frequency)
         kept = {name: found[name] for name in ("speed_m_s", "yaw_amplitude_deg", "power_W", "refined_ticks")}
-        return self.key, kept | {"aside_deg": found["course_deg"], "status": status}
+        return key, kept | {"aside_deg": found["course_deg"], "status": status}
+
+    return TankRun(run, round(beats / frequency / run.robot.timing.bus_dt), row, lambda: gait(run.time))
 
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int, **setup) -> Iterator[tuple[tuple, dict]]:
     """Yields key and row of swims, `tanks` at a time on one device (`spread`)."""
-    return side_by_side(waiting, partial(GaitSwim, device=device, **setup), tanks=tanks, go_on=go_on)
+    return side_by_side(waiting, partial(start_swim, device=device, **setup), tanks=tanks, go_on=go_on)
 
 
 class SpeedTable:
@@ -142,17 +133,10 @@ def main(argv: list[str]) -> int:
     console.say(f"{len(keys)} swims, {len(keys) - len(left)} of them done before, in {book.path.parent}")
     if robot_entry(robot):
         console.say(f"{robot.name} swims the gait of the shipped fish; published speeds are those of the shipped fish")
-    water, done = sum(seconds for _, seconds in swims), 0.0
+    water = sum(seconds for _, seconds in swims)
     work = partial(on_device, tanks=args.tanks, box=box, beats=args.beats, robot=args.robot, sharpness=edge)
-    with console.Progress(water, "speeds", unit="s", every=1e9 if args.json else None) as bar:
-
-        def go_on(under_way: float) -> bool:
-            bar.update(min(done + under_way, water))
-            return True
-
-        for key, found in spread(work, left, devices, go_on):
-            book.add(key, found)
-            done += args.beats / key[0]
+    begin = lambda go_on: spread(work, left, devices, go_on)
+    keep_rows(book, begin, water, lambda key: args.beats / key[0], "speeds", args.json)
     rows = [book.rows[key] for key in keys]
     title = f"{''.join(f'{name}, ' for name in robot_entry(robot).values())}{box.name}, {100 * box.dx:g} cm"
     picture = draw_speeds(rows, book.path.with_name("speeds.png"), title)

@@ -12,7 +12,7 @@ holds the root or moves it along `root`. The torques that this needs are the rea
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -358,3 +358,30 @@ class ConcurrentRuns:
                     self.runs[i].stopped = str(error)
                     del going[i]
             yield
+
+
+class TankRun:
+    """A run up to its last tick, or until it stops, as the work of one tank (`spread.side_by_side`).
+
+    Args:
+        end: ticks in all. result: called with the run at its end. command: returns (J,) rad before a tick, None if joints are
+            prescribed.
+    """
+
+    def __init__(self, run: Run, end: int, result: Callable[[Run], Any], command: Callable[[], np.ndarray] | None = None):
+        self.run, self.end, self.result, self.command = run, end, result, command
+
+    @property
+    def water(self) -> float:
+        """Seconds of water so far."""
+        return self.run.time
+
+    def ticking(self) -> Iterator[None]:
+        """Does all ticks, pausing when other tanks can have their turn."""
+        tank = ConcurrentRuns([self.run])
+        while self.run.ticks < self.end and not self.run.stopped:
+            yield from tank.ticking(None if self.command is None else self.command()[None])
+
+    def finished(self) -> Any:
+        """Returns the result."""
+        return self.result(self.run)

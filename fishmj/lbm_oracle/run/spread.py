@@ -74,7 +74,12 @@ def side_by_side(
         waiting: emptied from the left, only when there is room for one more.
         start: makes the run of a key.
         go_on: called after every round with the simulated seconds of the unfinished runs; False drops these and ends.
+
+    Raises:
+        ConfigError: fewer than one tank.
     """
+    if tanks < 1:
+        raise ConfigError(f"{tanks} tanks side by side; expected at least 1")
     busy: list[tuple[TankWork, Iterator[None]]] = []
     emptied = 0
     while busy or waiting:

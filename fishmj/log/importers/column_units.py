@@ -85,9 +85,12 @@ BODY = set("bl bls bodylength bodylengths l".split()) | {"body length", "body le
 RARE = set("rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn".split())  # taken where a name says so, only
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
-COUNTS = 400.0
+COUNTS = 130.0  # deg; a joint beyond is counted in ticks, or from its servo's end
+STRAIGHT = 0.35  # a heading that stays within is rad whatever its name says: in deg no fish swims so straight
+TICKS = "Say the scale here, or the scale and zero in a map"
 APART = (20.0, 170.0)  # times that two joints' largest angles differ when one is in rad, one in deg: 57.3, and 3 either way
 SHORT = 2e-4  # s; a median step below is a rate that no servo, camera or battery has
+LEAST, SLIM = 0.002, 1 / 300  # m that a swim spans on either axis at least, and its share of the other's
 TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
 FLUTTER = 30.0  # a spread beyond is cm, mm or px
 
@@ -161,7 +164,9 @@ def angle_unit(values: np.ndarray) -> tuple[str, str]:
         return "rad", told
     if most <= DEG:
         return "", f"{told}: rad or deg?"
-    return ("deg", told) if most <= COUNTS else ("", f"{told}: a servo's counts? Say the scale in a map")
+    if end := _from_end([values]):
+        return "", end
+    return ("deg", told) if most <= COUNTS else ("", f"{told}: a servo's counts, or degrees from its end? {TICKS}")
 
 
 def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
@@ -197,6 +202,15 @@ def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     if spread <= bounds_of({}, "").tank:
         return "m", told
     return "", f"{told}: m or cm?" if spread <= FLUTTER else f"{told}: mm, cm, px or m?"
+
+
+def other_axis(unit: str, said: Sequence[np.ndarray], silent: Sequence[np.ndarray]) -> tuple[str, str]:
+    """Unit of positions without one beside those with `unit`, and the reason; "" if they hardly move in it."""
+    spread = lambda values: max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
+    far, near = spread(said), spread(silent)
+    if UNITS[unit][1] < 1 and 0 < near < max(LEAST / UNITS[unit][1], far * SLIM):
+        return "", f"its other axis is in {unit}, where it moves by {near:.2g} {unit} only: {unit} or m?"
+    return unit, "as its other axis"
 
 
 def rate_unit(values: np.ndarray) -> tuple[str, str]:
@@ -242,6 +256,12 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
         return f"the name says rad, but {most:.4g} rad is more than a turn", ("deg",)
     if what == "joint" and unit == "deg" and TINY_ANGLE <= most <= 0.5 * RAD:
         return f"the name says deg, but no joint goes beyond {math.radians(most):.2g} rad; {most:.3g} may be rad", ("rad", "deg")
+    if what == "joint" and unit == "deg" and (end := _from_end(values)):
+        return end, ("deg",)
+    if what == "angle" and unit == "deg":
+        turns = [why for found, why in map(heading_unit, values) if found == "rad" and why.startswith("wraps")]
+        if turns or TINY_ANGLE <= most <= STRAIGHT:
+            return f"the name says deg, but it {turns[0] if turns else f'stays within {most:.2g}'}, as rad does", ("rad", "deg")
     if what in ("voltage", "current"):
         value, span = max(map(usual, values)) * UNITS[unit][1], bounds.span(what)
     elif what == "length" and unit in ("mm", "cm"):
@@ -270,6 +290,17 @@ def _stamps_against(unit: str, t: np.ndarray) -> str:
         if step > 5 and abs(finite[0]) < EPOCH:
             return f"the name says s, but the steps are {step:.4g}"
     return ""
+
+
+def _from_end(values: Sequence[np.ndarray]) -> str:
+    """Reason that angles in deg may count from a servo's end, as 90 for straight; "" without one."""
+    found = np.concatenate(values)
+    found = found[np.isfinite(found)]
+    low, middle = (float(np.quantile(found, q)) for q in (0.001, 0.5)) if len(found) else (0.0, 0.0)
+    if not (20 < low < middle and 45 < middle < 200):
+        return ""
+    told = f"{low:.3g} to {_most(found):.4g} deg, never straight: counted from the servo's end?"
+    return f'{told} In a map say unit = "deg", zero = {round(middle / 45) * 45:d}'
 
 
 def _extent(values: np.ndarray) -> float:

@@ -21,6 +21,7 @@ from fishmj.log.trial import table_spec
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6)}  # places of a second column of the stamp; in a second
 _NUMBER = re.compile(r"\d+")
+COUNTED = ("rad*SCALE",)  # of a servo's ticks or pulses
 ROWS = 200_000  # of one file that the statistics look at
 
 
@@ -285,7 +286,9 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 raise LogError(
                     f"--set {quoted(g.column)}: {g.unit} measures {measures(g.unit)}; {g.place} is in {SI.get(what) or 'no unit'}"
                 )
-            out.append(g.unclear(f"{g.unit} is no unit of {g.place}"))
+            counted = what == "angle" and measures(g.unit) in ("count", "time")
+            why = f"{g.unit} of a servo. {column_units.TICKS}" if counted else f"{g.unit} is no unit of {g.place}"
+            out.append(g.unclear(why, fits=COUNTED * counted))
             continue
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
@@ -310,7 +313,8 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             if what == "angle" and unit == "rad" and beside:
                 unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
-            out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}"))
+            fits = ("deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
+            out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}", fits=fits))
     return out
 
 
@@ -331,7 +335,8 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
         axes = [o for o in beside if measured(*o.place.split(".")) == "length"]
         spoken = {o.unit for o in axes if o.unit}
         if len(spoken) == 1:
-            return spoken.pop(), "as its other axis"
+            said, silent = ([kind.values(o.column) for o in axes if bool(o.unit) == known] for known in (True, False))
+            return column_units.other_axis(spoken.pop(), said, silent)
         return column_units.length_unit([s.columns[o.column] for o in axes for s in kind.sheets[:16]])
     if what == "acceleration":
         middle = float(np.nanmedian(np.abs(kind.values(g.column))))
@@ -471,6 +476,7 @@ def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]
                     f"no column of time among the names; is it this one? {why}", places=("t",), fits=("s*SECONDS",) * rows
                 )
     if not any(g.kind == k and g.state == UNCLEAR and g.place == "t" for g in out):
-        why = "its file has no column of time: skip it, or write one"
+        lost = [quoted(c) for c in kind.columns if role(header.parse(c), set()).places == ("t",)]
+        why = f"its file has no column of time{f' ({lost[0]} holds no number)' if lost else ''}: skip it, or write one"
         out = [g.unclear(why) if i in mine and not g.said else g for i, g in enumerate(out)]
     return out

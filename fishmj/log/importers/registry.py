@@ -178,7 +178,7 @@ def trial_of(
         except Implausible as doubt:
             raise doubt if advised is None else LogError(advised(table, doubt)) from doubt
     kept = {table: columns for table, (columns, _) in tables.items()}
-    return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *check_counts(kept)]))
+    return Trial({"origin": "measured", **meta}, kept, name=name, notes=tuple([*found, *check_counts(kept, meta)]))
 
 
 def _kept(columns: Table, place: Place, rows: np.ndarray) -> tuple[Table, Place]:

@@ -185,10 +185,6 @@ FAULTS: dict[str, Fault] = {
 }
 OUTSIDE = ("elastic_coupling", "cable_torque", "vibration", "hysteresis")
 ONLY_MUJOCO = ("air_drag", "steady_wind")  # drag at each link: MuJoCo's own
-TIMING = (
-    *("joint_zero_offset", "joint_scale", "command_latency", "joint_sensor_delay", "command_hold", "command_quantisation"),
-    *("clock_drift", "latency_jitter", "packet_loss"),
-)
 
 
 def placed(name: str) -> tuple[str, int]:

@@ -27,9 +27,9 @@ from fishmj.hydro_fit.campaign.data.run_segments import DOUBT
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.run import ConcurrentRuns, JointDriver, LeftDomain, Run
+from fishmj.lbm_oracle.run.run import JointDriver, LeftDomain, Run, TankRun
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
-from fishmj.lbm_oracle.run.spread import Waiting
+from fishmj.lbm_oracle.run.spread import Waiting, side_by_side
 from fishmj.log import Trial
 from fishmj.log.excitation import PERIOD, Excitation
 from fishmj.mjcf.description import Robot
@@ -114,11 +114,6 @@ class HiddenRun(Run):
     def end(self) -> int:
         """Number of ticks of the whole experiment."""
         return round(self.job.what.seconds / PERIOD)
-
-    @property
-    def done(self) -> bool:
-        """Returns True after the last tick, or if the run has stopped."""
-        return self.ticks >= self.end or bool(self.stopped)
 
     def recording(self) -> StateRecording:
         """Every finished tick, a row a millisecond."""
@@ -262,14 +257,12 @@ def jobs(
 def run_jobs(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
     """Runs jobs, `tanks` side by side; yields them as they finish or stop. Of several devices (`spread`) each takes its part."""
     queue: Waiting = deque(waiting) if isinstance(waiting, Iterable) else waiting
-    busy: list[HiddenRun] = []
-    while busy or queue:
-        while len(busy) < tanks and queue:
-            busy.append(HiddenRun(queue.popleft(), device))
-        ConcurrentRuns(busy).tick([np.zeros(run.joints) for run in busy])
-        for run in [run for run in busy if run.done]:
-            busy.remove(run)
-            yield run
+
+    def start(job: Job) -> TankRun:
+        run = HiddenRun(job, device)
+        return TankRun(run, run.end, lambda run: run, lambda: np.zeros(run.joints))
+
+    return side_by_side(queue, start, tanks=tanks)
 
 
 class OwnedJobs:

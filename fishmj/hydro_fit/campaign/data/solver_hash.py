@@ -39,20 +39,24 @@ ONE_LOOP = "3fe611ac37e302d67b2ecb0e893490b86e9764493a8878f400bbcfcd5a9525ba"
 # an option, a law of the wall; blocks of rows on a CPU; the rest to the bit
 WALLS = "d878cfcd8e5cf6f0a8932c30321d06243572905713901643aa403a3dc090b236"
 LAYERS = "40b752a4b504c515a2b77bae0882d6b4f2c55536e0accb47bb0f314f7c3a6c87"  # an option, layers on sheets; the rest to the bit
-# wall_stress gives the water its force over a layer, which no shipped data has; kernels of other widths; the rest to the bit
+# kernels of other widths, and another law of the wall (`SAME_LAW`); the rest to the bit
 SPREAD = "3cf54951701cf4e9b94d0421e003b02d83bd3b8c60d8d8f147a58ccd5ad0c93a"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
 SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD), SHIPPED)
+SAME_LAW = {LAYERS: WALLS}  # the same of segments with a law of the wall; SPREAD gives the water its force over a layer
 
 
 @cache
-def solver_sha256() -> str:
-    """sha256 of the modules in `PHYSICS`; if no result changed, still that of the code before the change."""
+def solver_sha256(law: bool = False) -> str:
+    """sha256 of the modules in `PHYSICS`; if no result changed, still that of the code before the change.
+
+    law: True for a boundary with a law of the wall, whose results changed where the others' did not.
+    """
     folder = Path(str(lbm_oracle.__file__)).parent
     total = hashlib.sha256()
     for name in PHYSICS:
         total.update(f"\0{name}\0{code_of((folder / f'{name}.py').read_text(encoding='utf-8'))}".encode())
-    return SAME.get(total.hexdigest(), total.hexdigest())
+    return (SAME_LAW if law else SAME).get(total.hexdigest(), total.hexdigest())
 
 
 def code_of(source: str) -> str:

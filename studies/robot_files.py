@@ -1,0 +1,19 @@
+"""The command of a study that writes descriptions of a robot from a folder of its authors' data."""
+
+import argparse
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from fishmj.base import console
+
+
+def write_robot_files(doc: str | None, made: Callable[[Path], Iterable[tuple[str, str]]]) -> None:
+    """Writes the files (name, text) that are made of the folder DATA into `--out`; `doc` is the help."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    for name, text in made(args.data):
+        (args.out / name).write_text(text, encoding="utf-8")
+        console.say(f"{args.out / name}")

@@ -1,0 +1,104 @@
+"""Columns of a robot's logs: guessed by whole words of their names, in the units that the file states."""
+
+import numpy as np
+import pytest
+
+from fishmj.base.errors import LogError
+from fishmj.gap.records.robot_logs import guess_columns, read_robot_logs, read_sheet
+
+N = 0.004 * np.arange(500)  # s
+
+
+def test_columns_are_guessed_from_a_public_log():
+    names = "time,pos_meas1,pos_meas2,vel_meas1,vel_meas2,pos_filt1,pos_filt2,vel_filt1,vel_filt2,tau_con1,tau_con2"
+    names += ",tau_fric1,tau_fric2,tau_meas1,tau_meas2"
+    found = guess_columns(names.split(","), ("shoulder", "elbow"), ("shoulder", "elbow"), torques=True)
+    assert found.time.column == "time"
+    assert [c.column for c in found.joint.values()] == ["pos_meas1", "pos_meas2"]
+    assert [c.column for c in found.actuator.values()] == ["tau_con1", "tau_con2"]
+
+
+def test_ambiguous_columns_are_left_to_a_map():
+    with pytest.raises(LogError, match="cmd_a1 or cmd_b1|cmd_b1 or cmd_a1"):
+        guess_columns(["t", "q1", "q2", "cmd_a1", "cmd_a2", "cmd_b1", "cmd_b2"], ("s", "e"), ("s", "e"), torques=True)
+
+
+@pytest.mark.parametrize(
+    "names, joints, position, command",
+    [
+        ("t tau_a tau_b pos_a pos_b", "a b", "pos_a pos_b", "tau_a tau_b"),  # not the a of tau
+        ("t tau_a tau_tau pos_a pos_tau", "a tau", "pos_a pos_tau", "tau_a tau_tau"),
+        ("t left_hip.pos hip.pos tau_leftHip tau_hip", "hip left_hip", "hip.pos left_hip.pos", "tau_hip tau_leftHip"),
+        ("t q_j1 q_j10 cmd_j1 cmd_j10", "j1 j10", "q_j1 q_j10", "cmd_j1 cmd_j10"),
+        ("t q_wrist qd_wrist speed_wrist[rad/s] T1 tau_wrist", "wrist", "q_wrist", "tau_wrist"),
+    ],
+)
+def test_joint_is_found_by_whole_words_of_a_name(names, joints, position, command):
+    found = guess_columns(names.split(), joints.split(), joints.split(), torques=True)
+    assert [c.column for c in found.joint.values()] == position.split()
+    assert [c.column for c in found.actuator.values()] == command.split()
+    assert found.time.column == "t" and not any(c.unit for c in found.joint.values())
+
+
+@pytest.mark.parametrize(
+    "names, why",
+    [
+        ("t pos_a pos-a pos_b tau_a tau_b", "a: pos_a or pos-a"),
+        ("t time pos_a pos_b tau_a tau_b", "stamps: t or time"),
+        ("t pos_a[rad/s] pos_b[rad/s] tau_a tau_b", "no columns for the positions"),
+        ("t pos_a pos_b tau_a[mA] tau_b[mA]", "no columns for the commands"),
+    ],
+)
+def test_two_columns_for_one_site_or_a_wrong_unit_are_refused(names, why):
+    with pytest.raises(LogError, match=why):
+        guess_columns(names.split(), ("a", "b"), ("a", "b"), torques=True)
+
+
+def test_units_that_a_file_states_beside_its_names_are_taken(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("time,q1,q2,tau1,tau2\nms,deg,deg,mN m,mN m\n" + "".join(f"{10 * k},90,{k},100,0\n" for k in range(30)))
+    sheet = read_sheet(log)
+    units = {name: own.units.get(column, "") for name, (own, column) in sheet.columns.items()}
+    columns = guess_columns(list(sheet.columns), ("s", "e"), ("s", "e"), True, units)
+    (trial,), _ = read_robot_logs([log], columns)
+    assert trial.table("cmd")["t"][1] == pytest.approx(0.01)
+    assert trial.table("joint")["j1"][0] == pytest.approx(np.pi / 2) and trial.table("cmd")["c1"][0] == pytest.approx(0.1)
+
+
+def test_unit_that_another_file_states_is_not_overlooked(tmp_path):
+    rows = "".join(f"{k / 100},{k / 30},0.2,1,2\n" for k in range(30))
+    (tmp_path / "a.csv").write_text("t,q1,q2,tau1,tau2\n" + rows)
+    (tmp_path / "b.csv").write_text("t,q1,q2,tau1,tau2\ns,deg,deg,,\n" + rows)
+    columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    trials, broken = read_robot_logs([tmp_path / "a.csv", tmp_path / "b.csv"], columns)
+    assert [trial.name for trial in trials] == ["a"] and "column 'q1': the file says deg, expected rad" in broken["b.csv"]
+
+
+@pytest.mark.parametrize("values, told", [(100 * np.sin(3 * N), "turns to 100 rad"), (50 * np.sin(5 * N), "turns at 2.. rad/s")])
+def test_angles_beyond_any_joint_are_no_radians_unless_they_are_said_to_be(tmp_path, values, told):
+    log = tmp_path / "log.csv"
+    log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{t},{q},0.2,1,2\n" for t, q in zip(N, values, strict=True)))
+    guess = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    with pytest.raises(LogError, match=f"joint s {told}; is q1 in degrees, of a motor before its gear"):
+        read_robot_logs([log], guess)
+    said = guess._replace(joint=guess.joint | {"s": guess.joint["s"].model_copy(update={"unit": "rad"})})
+    assert len(read_robot_logs([log], said)[0]) == 1
+
+
+def test_stamps_that_go_back_are_named_with_their_row(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{k % 20 / 100},0.1,0.2,1,2\n" for k in range(30)))
+    with pytest.raises(LogError, match="do not rise: 0 s after 0.19 s, row 21; .* where the clock begins again"):
+        read_robot_logs([log], guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True))
+
+
+def test_stamps_in_another_unit_than_seconds_are_refused(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{4 * k},0.1,0.2,1,2\n" for k in range(30)))
+    with pytest.raises(LogError, match='row every 4 s.*unit = "ms"'):
+        read_robot_logs([log], guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True))
+
+
+def test_column_of_a_position_servo_is_a_position():
+    found = guess_columns(["time", "hip_pos", "hip_pos_target", "hip_torque"], ("hip",), ("hip",), torques=False)
+    assert found.joint["hip"].column == "hip_pos" and found.actuator["hip"].column == "hip_pos_target"
