@@ -74,7 +74,7 @@ def _torques(m: ReportData) -> Section:
     """Torques that no effect explains; empty where they were not asked for."""
     found = m.inquiry.verdict.gates.get("torques", {})
     robot = m.inquiry.evidence.model
-    usual = dict(zip(robot.robot.sites("joint"), robot.sizes.torque.tolist(), strict=True))
+    usual = dict(zip(robot.robot.channels, robot.sizes.torque.tolist(), strict=True))
     rows = [
         {"joint": part("strong", title(joint)), "before": quantity(a, "N m"), "after": quantity(b, "N m")}
         | {"usual torque of the joint": quantity(usual[joint], "N m")}
