@@ -23,7 +23,7 @@ from fishmj.gap.laboratory.articulated.robot_plan import QUADROTOR, mjcf, rotor
 
 KINDS = {"single": 0.52, "pair": 0.06, "none": 0.29, "off": 0.13}  # shares
 FAMILIES = {"pendulum": 0.3, "two_link": 0.45, "arm": 0.17, "legs": 0.08}  # shares
-FLOWN = {QUADROTOR: 1.0}  # families that --robots must name: a benchmark of before stays what it was
+MORE = {QUADROTOR: 1.0}  # families that --robots must name: a benchmark without them stays what it was
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 LOGS, SECONDS = 4, 4.5  # of a case; s of a log
 FIRST = 1_000_000  # seeds of one benchmark's cases
@@ -46,7 +46,7 @@ def draw_cases(count: int, seed: int, generators: tuple[str, ...], families: tup
     shares = KINDS if kinds is None else {kind: KINDS[kind] for kind in kinds}
     order = spread(count, shares, rng)
     decks: dict[tuple[str, str], list[str]] = {}
-    robots = spread(count, {name: (FAMILIES | FLOWN)[name] for name in families}, rng)
+    robots = spread(count, {name: (FAMILIES | MORE)[name] for name in families}, rng)
     out = []
     for i, (kind, family) in enumerate(zip(order, robots, strict=True)):
         mine = np.random.default_rng([seed, 52, i])

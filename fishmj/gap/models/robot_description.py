@@ -92,6 +92,11 @@ class RobotDescription:
         """Names of the coordinates in a log: of a free base, then of the joints."""
         return (*(COORDINATES if self.base else ()), *self.sites("joint"))
 
+    def force_unit(self, channel: str) -> str:
+        """Unit of the force along a channel."""
+        slides = [j.name for j in self.joints if self.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_SLIDE]
+        return "N" if channel in (*(COORDINATES[:3] if self.base else ()), *slides) else "N m"
+
     @property
     def dofs(self) -> list[int]:
         """Place of each channel in qvel."""
