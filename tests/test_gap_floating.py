@@ -131,6 +131,7 @@ def test_floating_robot_has_coordinates_and_no_tilt_or_friction(quadrotor, model
     names = {placed.effect.name for placed in model.placed}
     assert names >= {"body_mass", "com_offset", "servo_gain", "thrust_loss", "thruster_lag", "steady_wind", "torque_offset"}
     assert not names & {"base_tilt", "coulomb_friction", "joint_zero_offset", "speed_limit"}
+    assert ("payload" in names) == (abs(PLAN.limbs[0].centre[2]) > 0.02)  # at the frame it is a heavier body
 
 
 BALL = '<joint name="base" type="ball"/>'
@@ -169,6 +170,8 @@ def test_pose_is_guessed_from_names_that_say_each_part(style):
 
 def test_pose_of_numbers_or_none_is_left_to_a_map():
     """Numbers do not say whether w is first."""
+    with pytest.raises(LogError, match="commands of the actuators"):
+        guess_columns(["t", *POSE], (), ("r1", "r2", "r3", "r4"), True, free=True)
     for names in ([f"pose_{k}" for k in range(7)], ["x", "y", "z"], []):
         with pytest.raises(LogError, match=r"free base.*qw = ") as told:
             guess_columns([*NAMES, *names], (), ("r1", "r2", "r3", "r4"), True, free=True)
@@ -228,6 +231,7 @@ HIDDEN = {
     "link_inertia@b1": {"share": 3.0},
     "servo_gain@r2": {"gain": -0.25},
     "torque_offset@r3": {"torque": 0.4},
+    "torque_saturation@r1": {"limit": 0.24 * PLAN.limbs[0].mass * 9.81},
     "thrust_loss": {"share": 0.25},
     "thruster_lag": {"time": 0.08},
     "command_latency": {"delay": 0.05},
@@ -244,6 +248,36 @@ def test_effect_on_a_free_body_is_the_edited_robot(name, quadrotor, model, folde
     without, with_it = misfit(model, logs, model.null), misfit(model, logs, row)
     assert np.all(with_it < WELL), with_it
     assert np.any(with_it < without / 2.0), (without, with_it)
+
+
+TRUNK = """<mujoco><option timestep="0.002" integrator="implicitfast" gravity="0 0 0"/><worldbody><body name="trunk"><freejoint/>
+<inertial pos="0 0 0" mass="2" diaginertia="0.02 0.02 0.02"/><body name="leg"><joint name="knee" type="hinge" axis="0 1 0"/>
+<inertial pos="0 0 -0.15" mass="0.4" diaginertia="0.002 0.002 0.0002"/></body></body></worldbody>
+<actuator><motor name="knee" joint="knee"/></actuator></mujoco>"""
+
+
+def test_friction_of_a_leg_on_a_free_trunk_is_the_edited_robot(tmp_path):
+    """A leg in the air: its motor turns the trunk, too."""
+    path = tmp_path / "trunk.xml"
+    path.write_text(TRUNK)
+    m = mujoco.MjModel.from_xml_string(TRUNK.replace('name="knee" type', 'frictionloss="0.03" name="knee" type'))
+    m.opt.timestep = 0.0002
+    d, t, q = mujoco.MjData(m), 0.004 * np.arange(800), np.empty((800, 8))
+    u = 0.1 * np.sin(2.0 * np.pi * 0.8 * t) + 0.06 * np.sin(2.0 * np.pi * 1.7 * t)
+    for k in range(800):
+        q[k], d.ctrl[:] = d.qpos, u[k]
+        mujoco.mj_step(m, d, 20)
+    np.savez(tmp_path / "log.npz", t=t, cmd_knee=u, pos_knee=q[:, 7], **dict(zip(POSE, q[:, :7].T, strict=True)))
+    robot = read_robot(path)
+    records = records_of(robot, tmp_path / "log.npz")
+    model = RigidRobot(robot, sizes_of(robot, records))
+    row = model.null
+    row[model.index("coulomb_friction@knee", "torque")] = 0.03
+    law = model.null
+    law[model.index("stribeck@knee", "torque")] = 0.03
+    law[model.index("stribeck@knee", "speed")] = 1e3
+    without, with_it, by_law = (misfit(model, records, one) for one in (model.null, row, law))
+    assert np.all(with_it < 0.2 * without + 1e-4) and np.all(by_law < 0.2 * without + 1e-4), (without, with_it, by_law)
 
 
 def test_planar_boat_with_thrusters_is_predicted(tmp_path):
@@ -287,7 +321,7 @@ def test_healthy_flight_has_no_mistake(quadrotor, records):
 def test_mistake_in_a_pose_is_named_with_its_remedy(what, quadrotor, records):
     """The record as it is with the mistake: the inverse of what undoes it."""
     _, turn, move = POSES[what]
-    wrong = [_posed(r, turn.T, move.T) for r in records]
+    wrong = [_posed(r, turn.T, np.linalg.inv(move)) for r in records]
     back = [_posed(r, turn, move) for r in wrong]
     np.testing.assert_allclose(back[0].rates, records[0].rates, atol=1e-9)
     np.testing.assert_allclose(back[0].accelerations, records[0].accelerations, atol=1e-8)
@@ -360,6 +394,6 @@ def test_quadrotors_of_the_benchmark_carry_their_own_effects(tmp_path):
     row = robot_cases.make_set(
         tmp_path, next(case for case in cases if case.effects == ("thrust_loss",) and case.generator == "mujoco")
     )
-    assert row["joints"] == 6 and row["visible"]["thrust_loss"] > 5.0
+    assert row["joints"] == 0 and row["visible"]["thrust_loss"] > 5.0
     log = np.load(tmp_path / row["id"] / "logs" / "log1.npz")
     assert {"t", *POSE, "cmd_r1", "cmd_r2", "cmd_r3", "cmd_r4"} == set(log) and abs(np.mean(log["z"])) < 1.0

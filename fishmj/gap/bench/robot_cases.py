@@ -92,7 +92,7 @@ def make_set(folder: Path, case: RobotCase) -> dict:
         write_npz(place / "logs" / f"log{i + 1}.npz", {"t": log.t} | {k: v.astype(np.float32) for k, v in columns.items()})
     row |= {
         "family": told.plan.family,
-        "joints": 6 if told.plan.rotors else len(told.plan.limbs),
+        "joints": 0 if told.plan.rotors else len(told.plan.limbs),
         "torques": told.plan.torques,
         "servo": told.servo,
     }

@@ -201,6 +201,7 @@ POSES = {
         np.eye(4)[[3, 0, 1, 2]],
         np.eye(3),
     ),
+    "with its place in mm": ('state unit = "mm" for x, y and z', np.eye(4), 1e-3 * np.eye(3)),
     "with its quaternion inverted": ("state sign = -1 for qx, qy and qz", np.diag([1.0, -1.0, -1.0, -1.0]), np.eye(3)),
     "turned from north-east-down to east-north-up": (
         "write place and quaternion east-north-up, with body axes forward-left-up, and name those columns",

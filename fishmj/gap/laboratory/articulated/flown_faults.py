@@ -56,6 +56,9 @@ FLOWN: dict[str, Fault] = {name: FAULTS[name] for name in SHARED} | {
     "torque_offset": Fault(
         "actuator", one_parameter("torque", 0.04, 0.15, _hover, True), lambda plan, k, v: plan.with_rotor(k, offset=v["torque"])
     ),
+    "torque_saturation": Fault(
+        "actuator", one_parameter("limit", 0.95, 1.15, _hover), lambda plan, k, v: plan.with_rotor(k, limit=v["limit"])
+    ),
     "thrust_loss": Fault(
         "robot",
         one_parameter("share", 0.08, 0.3),
@@ -69,6 +72,7 @@ FLOWN: dict[str, Fault] = {name: FAULTS[name] for name in SHARED} | {
     "tether": Fault("robot", _draw_tether),
     "body_vibration": Fault("robot", _draw_vibration),
 }
+LEAST_LIMIT = 0.9  # of a rotor's thrust in hover
 FLOWN_OUTSIDE = ("tether", "body_vibration")
 
 
@@ -88,5 +92,5 @@ def draw_flown(name: str, rng: np.random.Generator, plan: RobotPlan, usual: Usua
     k = int(rng.integers(len(plan.rotors))) if fault.site == "actuator" else 0
     site = {"actuator": "@" + rotor(k), "body": "@" + body(k)}.get(fault.site, "")
     values = {key: float(value) for key, value in fault.draw(rng, plan, usual, k).items()}
-    values = values if name == "tether" else stronger(name, values, strength, 0.0)
+    values = values if name == "tether" else stronger(name, values, strength, LEAST_LIMIT * _hover(plan, usual, k))
     return {name + site: values}
