@@ -2,24 +2,28 @@
 
     python -m studies.sysid_baseline DIR/design_A.0 --model OUT/A.0_2.0_bare.xml
 
-DIR and OUT as in `studies.double_pendulum`; needs `pip install "mujoco[sysid]"`. mujoco.sysid fits the parameters that one lists: here
-friction, damping, rotor inertia and torque gain of both joints, mass of both links, and the delay of the command. Segments of 0.3 s
-start from the smoothed positions. BIC takes the parameter that lowers it most, until none lowers it by 10; its residuals are taken
-for independent, as the package does.
+DIR and OUT as in `studies.double_pendulum`; needs `pip install "mujoco[sysid]"`. mujoco.sysid fits the parameters that one
+lists: here friction, damping, rotor inertia and torque gain of both joints, and the mass of both links. Segments of 0.3 s start
+from the smoothed positions. BIC takes the parameter that lowers it most, until none lowers it by 10; its residuals are taken for
+independent, as the package does.
 """
 
 import argparse
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco import sysid  # ty: ignore
+
 from scipy.signal import savgol_filter
 
 from fishmj.base import console
+
+sysid: Any = import_module("mujoco.sysid")
 
 SECONDS, SMOOTH = 0.3, 11  # length of a segment; samples of the cubic that gives its first velocity
 LEAST = 10.0  # fall of BIC by which a parameter is taken: "very strong", Kass and Raftery 1995

@@ -15,7 +15,8 @@ STAGES = ("actuator", "timing", "inertia", "hydrodynamics", "environment", "meas
 CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
 CLOCKS = ("command", "joint", "pose", "power", "velocity")  # what a transport delay may delay
 STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
-ROBOT_SITES = ("joint", "actuator", "body", "robot")  # where an effect acts in a robot described in MJCF
+# where an effect acts in a robot described in MJCF; base: of one that is fixed; thrusters: all actuators on sites together
+ROBOT_SITES = ("joint", "actuator", "body", "robot", "base", "thrusters")
 LAW_MATH = ("copysign", "cos", "exp", "pi", "sin")  # of `math`, in the law of an effect of such a robot
 
 

@@ -206,8 +206,7 @@ def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
         return verdict
     from fishmj.gap.search import unexplained_torque
 
-    names = tuple(joint.name for joint in model.robot.joints)
-    return unexplained_torque.require_smaller_torques(verdict, inquiry.evidence, inquiry.found.best.row, names)
+    return unexplained_torque.require_smaller_torques(verdict, inquiry.evidence, inquiry.found.best.row, model.robot.channels)
 
 
 # Row 20 to 22 of the gates on docs/search/gap.md, in its order; what only adds to the verdict stands where it is needed.

@@ -7,7 +7,7 @@ def fields(site, p):
     """Constant force of an actuator with affine bias; b0 / gear."""
     m, a = site.m, site.actuator
     m.actuator_biastype[a] = max(m.actuator_biastype[a], 1)
-    m.actuator_biasprm[a, 0] += p.torque / m.actuator_gear[a, 0]
+    m.actuator_biasprm[a, 0] += p.torque / site.gear
 
 
 EFFECT = Effect(

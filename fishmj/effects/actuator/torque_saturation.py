@@ -14,7 +14,7 @@ def servo(xp, p, s, memory, h):
 def fields(site, p):
     """Range of the actuator's force; a narrower one that the description states stays."""
     m, a = site.m, site.actuator
-    limit = p.limit / abs(m.actuator_gear[a, 0])
+    limit = p.limit / abs(site.gear)
     stated = m.actuator_forcerange[a] if m.actuator_forcelimited[a] else (-limit, limit)
     m.actuator_forcelimited[a] = 1
     m.actuator_forcerange[a] = max(stated[0], -limit), min(stated[1], limit)

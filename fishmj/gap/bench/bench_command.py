@@ -82,8 +82,9 @@ def main(argv: list[str]) -> int:
     making = f"of --generator robots: make the data sets of {robot_bench.ALL}, or of some, and stop (default: judge them, too)"
     only = console.Listed(console.OneOf(robot_bench.GENERATORS))
     add("--only-sets", type=only, default=[], metavar="NAME,..", help=making)
-    robots = console.Listed(console.OneOf(tuple(robot_cases.FAMILIES)))
-    shares = f"of --generator robots: only {', '.join(robot_cases.FAMILIES)} (default all, in their shares)"
+    robots = console.Listed(console.OneOf((*robot_cases.FAMILIES, *robot_cases.MORE)))
+    more = ", ".join(robot_cases.MORE)
+    shares = f"of --generator robots: only {', '.join(robot_cases.FAMILIES)} (default all, in their shares), or {more}"
     add("--robots", type=robots, default=list(robot_cases.FAMILIES), metavar="NAME,..", help=shares)
     scoring = (
         "score what runs of --generator families or robots kept in these folders, all together; search nothing (default none)"

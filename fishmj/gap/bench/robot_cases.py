@@ -19,10 +19,12 @@ from fishmj.base.store import write_npz, write_text
 from fishmj.gap.bench.cases import draw_card, spread
 from fishmj.gap.laboratory.articulated import robot_session
 from fishmj.gap.laboratory.articulated.hidden_faults import FAULTS
-from fishmj.gap.laboratory.articulated.robot_plan import mjcf
+from fishmj.gap.laboratory.articulated.robot_plan import QUADROTOR, mjcf, rotor
 
 KINDS = {"single": 0.52, "pair": 0.06, "none": 0.29, "off": 0.13}  # shares
 FAMILIES = {"pendulum": 0.3, "two_link": 0.45, "arm": 0.17, "legs": 0.08}  # shares
+MORE = {QUADROTOR: 1.0}  # families that --robots must name: a benchmark without them stays what it was
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 LOGS, SECONDS = 4, 4.5  # of a case; s of a log
 FIRST = 1_000_000  # seeds of one benchmark's cases
 
@@ -44,15 +46,17 @@ def draw_cases(count: int, seed: int, generators: tuple[str, ...], families: tup
     shares = KINDS if kinds is None else {kind: KINDS[kind] for kind in kinds}
     order = spread(count, shares, rng)
     decks: dict[tuple[str, str], list[str]] = {}
-    robots = spread(count, {name: FAMILIES[name] for name in families}, rng)
+    robots = spread(count, {name: (FAMILIES | MORE)[name] for name in families}, rng)
     out = []
     for i, (kind, family) in enumerate(zip(order, robots, strict=True)):
         mine = np.random.default_rng([seed, 52, i])
         generator = generators[
             int(np.random.default_rng([seed, 53, i // len(generators)]).permutation(len(generators))[i % len(generators)])
         ]
-        pool = list(robot_session.able(generator, kind == "off"))
-        deck = decks.setdefault((generator, kind), [])
+        if family == QUADROTOR and generator == robot_session.BAM:  # servo laws do not fly
+            generator = robot_session.MUJOCO
+        pool = list(robot_session.able(generator, kind == "off", family))
+        deck = decks.setdefault((generator, f"{kind} of {QUADROTOR}" if family == QUADROTOR else kind), [])
         if kind == "pair":
             effects = tuple(str(n) for n in mine.choice(pool, 2, replace=False))
         else:
@@ -83,8 +87,15 @@ def make_set(folder: Path, case: RobotCase) -> dict:
     write_text(place / "robot.xml", mjcf(told.plan))
     for i, log in enumerate(told.logs):
         columns = {"command": log.commands, "position": log.readings}
+        if told.plan.rotors:
+            columns = {f"cmd_{rotor(k)}": u for k, u in enumerate(log.commands.T)} | dict(zip(POSE, log.readings.T, strict=True))
         write_npz(place / "logs" / f"log{i + 1}.npz", {"t": log.t} | {k: v.astype(np.float32) for k, v in columns.items()})
-    row |= {"family": told.plan.family, "joints": len(told.plan.limbs), "torques": told.plan.torques, "servo": told.servo}
+    row |= {
+        "family": told.plan.family,
+        "joints": 0 if told.plan.rotors else len(told.plan.limbs),
+        "torques": told.plan.torques,
+        "servo": told.servo,
+    }
     row |= {"truth": told.hidden, "visible": told.visible, "stand": told.stand._asdict()}
     return row | {"data_cpu_seconds": time.process_time() - begin}
 

@@ -44,7 +44,9 @@ def answer_of(place: Path) -> dict:
     try:
         robot = read_robot(place / "robot.xml")
         files = log_files(place / "logs")
-        columns = guess_columns(list(read_sheet(files[0]).columns), robot.sites("joint"), robot.actuators, False)
+        columns = guess_columns(
+            list(read_sheet(files[0]).columns), robot.sites("joint"), robot.actuators, False, free=robot.base is not None
+        )
         trials, broken = read_robot_logs(files, columns)
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             inquiry = find_robot.search(robot, trials, argparse.Namespace(**AS_SHIPPED))

@@ -121,15 +121,17 @@ def figures(every: list[dict]) -> dict:
 def twins(row: dict) -> set[str]:
     """Names that are the same as the hidden one in any log of such a robot.
 
-    A late command and reading; damping of a joint and of its position servo; on a pendulum the inertia of rotor and link.
+    A late command and reading; damping of a joint and of its position servo; on a pendulum the inertia of rotor and link; of a
+    quadrotor its mass and a loss of all thrust.
     """
     (hidden,) = row["truth"]
     effect, _, site = hidden.partition("@")
     alike = [{"command_latency", "joint_sensor_delay"}]
     alike += [] if row["torques"] else [{"viscous_friction", "servo_damping_gain"}]
     out = {f"{name}@{site}" if site else name for same in alike if effect in same for name in same}
-    pendulum = {"rotor_inertia@j1", "link_inertia@b1"}
-    return out | {hidden} | (pendulum if row["joints"] == 1 and hidden in pendulum else set())
+    pairs = {1: {"rotor_inertia@j1", "link_inertia@b1"}, 0: {"body_mass@b1", "thrust_loss"}}  # by the number of hinges
+    pair = pairs.get(row["joints"], set())
+    return out | {hidden} | (pair if hidden in pair else set())
 
 
 def is_twin_class(row: dict) -> bool:

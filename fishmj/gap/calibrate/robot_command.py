@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
     robot, _, trials, broken = read_logs(args)
     if len(trials) < FEWEST:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least {FEWEST} are needed, so that they can differ")
-    records = robot_records(trials, robot.dt, robot.sites("joint"))
+    records = robot_records(trials, robot.dt, robot.channels)
     robot.check_contact(records)
     refuse_mistakes(robot, records, anyway=True)
     again = interrupt.again("start again")

@@ -72,7 +72,7 @@ def fit_robot(
     sizes = sizes_of(robot, records)
     whole = RigidRobot(robot, sizes, listed)
     still = _still(robot, records)
-    if len(still) == len(robot.joints):
+    if len(still) == len(robot.channels):
         raise LogError(f"no joint moves by {STILL:g} rad or m in any log; record motions of every joint, slow and fast")
     inert = frozenset(e.name for e in whole.active.effects if e.name.partition(AT)[2] in still)
     inert |= whole.inert(records) if listed else frozenset()
@@ -100,7 +100,7 @@ def fit_robot(
     told = np.where([n.is_told for n in numbers], found.theta, [n.start for n in free])
     three = np.stack([[n.start for n in free], told, found.theta])
     raw = layout.residuals(model.predict(records, rows(three)))
-    errors = {name: tuple(np.sqrt(np.nanmean(raw[:, layout.channel == name] ** 2, 1)).tolist()) for name in robot.sites("joint")}
+    errors = {name: tuple(np.sqrt(np.nanmean(raw[:, layout.channel == name] ** 2, 1)).tolist()) for name in robot.channels}
     row = rows(told[None])[0]
     misfit = tuple(np.mean(residual(three) ** 2, 1).tolist())
     left = tuple(_inert(whole, name) for name in sorted(inert))
@@ -110,7 +110,7 @@ def fit_robot(
 def _still(robot: RobotDescription, records: list) -> set[str]:
     """Names of the joints that do not move: a joint at rest tells nothing of its friction."""
     moved = np.max([np.ptp(r.joint.values, 0) for r in records], 0)
-    return {name for name, way in zip(robot.sites("joint"), moved, strict=True) if way < STILL}
+    return {name for name, way in zip(robot.channels, moved, strict=True) if way < STILL}
 
 
 def _numbers(free: list[OpenNumber], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:

@@ -3,13 +3,13 @@
 The described model predicts some segments (records/shooting.py), as logged and as if one mistake were undone:
 
     two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; degrees for radians;
-    commands earlier or later
+    commands earlier or later; thrusters in another order; of a free base's pose the mistakes of `POSES`
 
 A mistake that explains the logs FAR times better than the logs as they are is one. A search with it would name an imitation.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import mujoco
@@ -20,6 +20,7 @@ from fishmj.base import console
 from fishmj.base.errors import LogError
 from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.records.attitude import quaternion_rate, rotation_vector
 from fishmj.gap.records.shooting import RobotRecord, thinned
 from fishmj.gap.wording import number
 
@@ -31,7 +32,11 @@ SHIFTS = (-0.5, -0.4, -0.3, -0.2, -0.15, -0.1, -0.06, -0.03, 0.25, 0.3, 0.4, 0.5
 TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
 OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
 STILL = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
+MOST_ORDERS = 4  # thrusters of which every order is tried; of more, each pair exchanged
 JUMP = 1.5  # rad from one reading to the next
+
+
+Undone = tuple[str, str, list[RobotRecord]]  # a mistake, its remedy, the records without it
 
 
 class Mistake(NamedTuple):
@@ -65,7 +70,7 @@ def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], any
 def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
     """Readings beyond a joint's range, jumps that no turn of 2 pi explains, and a joint that never moves."""
     out, m = [], robot.model
-    for j, joint in enumerate(robot.joints):
+    for j, joint in enumerate(robot.joints, 6 if robot.base else 0):
         q = np.concatenate([r.joint.values[:, j] for r in records])
         if m.jnt_limited[joint.joint]:
             low, high = m.jnt_range[joint.joint]
@@ -121,11 +126,16 @@ def _ratio(plain: np.ndarray, other: np.ndarray) -> float:
     return float(np.mean(plain) / max(np.mean(other), 1e-12))
 
 
-def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[tuple[str, str, list[RobotRecord]]]:
+def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undone]:
     """Each mistake with its remedy, and the records without it."""
-    names, numbers = robot.sites("joint"), [j.actuator for j in robot.joints]
+    names, numbers = robot.channels, [*([-1] * 6 if robot.base else []), *(j.actuator for j in robot.joints)]
     table = "in a map, --columns MAP.toml"
-    for j, name in enumerate(names):
+    yield from _of_thrusters(robot, records, table)
+    if robot.base:
+        for what, (remedy, turn, move) in POSES.items():
+            yield f"the base's pose {what}", f"{remedy} {table}, [base]", [_posed(r, turn, move) for r in records]
+    own = range(6 if robot.base else 0, len(names))
+    for j, name in ((j, names[j]) for j in own):
         sign = np.ones(len(names))
         sign[j] = -1.0
         negated, a = [_of_angles(r, sign) for r in records], numbers[j]
@@ -149,7 +159,7 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[tupl
         if robot.model.actuator_biasprm[:, 1].any():
             both = [r._replace(commands=r.commands * factor) for r in turns]
             yield f"reading positions and commands in {what}", f'state unit = "{unit}" for both {table}', both
-    for i, k in combinations(range(len(names)), 2):
+    for i, k in combinations(own, 2):
         order = list(range(len(names)))
         order[i], order[k] = k, i
         pair = f"{names[i]} and {names[k]}"
@@ -160,6 +170,87 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[tupl
             yield f"exchanging the commands of {pair}", f"the actuators are in another order; name them {table}", asked
             both = _asked(swapped, numbers[i], numbers[k], 1.0)
             yield f"exchanging {pair}", f"the joints are in another order; name them {table}", both
+
+
+def _of_thrusters(robot: RobotDescription, records: list[RobotRecord], table: str) -> Iterator[Undone]:
+    """Mistakes of the thrusters' commands."""
+    numbers = list(robot.thrusters.values())
+    swapped = lambda i, k: tuple({i: k, k: i}.get(a, a) for a in numbers)
+    few = len(numbers) <= MOST_ORDERS
+    orders = list(permutations(numbers))[1:] if few else [swapped(i, k) for i, k in combinations(numbers, 2)]
+    for of in orders:
+        wanted = ", ".join(f"{name} = that of {robot.actuators[a]}" for name, a in zip(robot.thrusters, of, strict=True))
+        what = f"another order of the thrusters ({wanted})"
+        yield what, f"name their columns in that order {table}, [actuator]", [_commanded(r, numbers, of) for r in records]
+    for name, a in robot.thrusters.items():
+        yield f"thruster {name} with its commands negated", f"state sign = -1 for it {table}", _asked(records, a, a, -1.0)
+
+
+def _commanded(r: RobotRecord, numbers: Sequence[int], of: Sequence[int]) -> RobotRecord:
+    commands = r.commands.copy()
+    commands[:, numbers] = r.commands[:, of]
+    return r._replace(commands=commands)
+
+
+def _product(q: tuple[float, ...], left: bool) -> np.ndarray:
+    """(4, 4) matrix of the product q p, or p q, by p."""
+    w, (x, y, z) = q[0], q[1:]
+    side = 1.0 if left else -1.0
+    return np.array([[w, -x, -y, -z], [x, w, -side * z, side * y], [y, side * z, w, -side * x], [z, -side * y, side * x, w]])
+
+
+HALF = np.sqrt(0.5)
+EAST_NORTH_UP = _product((0.0, HALF, HALF, 0.0), True) @ _product((0.0, 1.0, 0.0, 0.0), False)
+YAWED = {
+    "a quarter turn": (HALF, 0.0, 0.0, HALF),
+    "a quarter turn back": (HALF, 0.0, 0.0, -HALF),
+    "half a turn": (0.0, 0.0, 0.0, 1.0),
+}
+# what is wrong with a base's pose -> (remedy, matrix (4, 4) of its quaternion, matrix (3, 3) of its place) that undo it
+POSES = {
+    "with its quaternion as x y z w": (
+        "qw to qz are columns of another order; name each",
+        np.eye(4)[[3, 0, 1, 2]],
+        np.eye(3),
+    ),
+    "with its place in mm": ('state unit = "mm" for x, y and z', np.eye(4), 1e-3 * np.eye(3)),
+    "with its quaternion inverted": ("state sign = -1 for qx, qy and qz", np.diag([1.0, -1.0, -1.0, -1.0]), np.eye(3)),
+    "turned from north-east-down to east-north-up": (
+        "write place and quaternion east-north-up, with body axes forward-left-up, and name those columns",
+        EAST_NORTH_UP,
+        np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+    ),
+    **{
+        f"with the markers' axes turned by {turn} about z": (
+            "turn the body's axes in the camera's software, and name those columns",
+            _product(q, False),
+            np.eye(3),
+        )
+        for turn, q in YAWED.items()
+    },
+}
+
+
+def _posed(r: RobotRecord, turn: np.ndarray, move: np.ndarray) -> RobotRecord:
+    """The record with a linear map of its base's quaternions and one of its places; rates of the turn follow from them."""
+    rate, growth = r.rates[:, 3:6], r.accelerations[:, 3:6]
+    first = quaternion_rate(r.start_turns, rate)
+    second = quaternion_rate(first, rate) + quaternion_rate(r.start_turns, growth)
+    turns, starts = r.turns @ turn.T, r.start_turns @ turn.T
+    place = np.searchsorted(r.starts, r.joint.t, side="right") - 1
+    values, angles, rates, accelerations = (a.copy() for a in (r.joint.values, r.angles, r.rates, r.accelerations))
+    for part in (values, angles, rates, accelerations):
+        part[:, :3] = part[:, :3] @ move.T
+    values[:, 3:6] = rotation_vector(turns, starts[place])
+    rates[:, 3:6], accelerations[:, 3:6] = (_spin(starts, part @ turn.T) for part in (first, second))
+    more = {"angles": angles, "rates": rates, "accelerations": accelerations, "turns": turns, "start_turns": starts}
+    return r._replace(joint=r.joint._replace(values=values), **more)
+
+
+def _spin(q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """(S, 3) rad/s in the frame of quaternions (S, 4) of a rate (S, 4): the inverse of `quaternion_rate`."""
+    w, v = q[:, :1], q[:, 1:]
+    return 2.0 * (w * rate[:, 1:] - rate[:, :1] * v - np.cross(v, rate[:, 1:]))
 
 
 def _of_angles(r: RobotRecord, sign: np.ndarray) -> RobotRecord:

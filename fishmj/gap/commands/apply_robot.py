@@ -87,7 +87,8 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, Bey
         if known.robot.law is not None:
             beyond.laws.setdefault(site, {})[name] = tuple(getattr(p, x.name) for x in known.robot.parameters)
         if known.robot.command is not None:
-            beyond.commands.append((site, known, vars(p)))
+            where = tuple(robot.thrusters) if known.robot.site == "thrusters" else (site,)
+            beyond.commands.extend((name_there, known, vars(p)) for name_there in where)
         if known.robot.fields is not None:
             known.robot.fields(robot.site(m, known.robot.site, site), p)
         delay += sum(getattr(p, parameter) for clock, parameter in known.delays.items() if clock == "command")

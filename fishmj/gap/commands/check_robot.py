@@ -55,9 +55,9 @@ def check_robot(args: Any) -> dict:
     context = _searched(args.model) if args.parent is None else None
     parent = read_robot(Path(context.model) if context else args.parent)
     version = read_robot(args.model)
-    for kind in ("joint", "actuator"):
-        if parent.sites(kind) != version.sites(kind):
-            names = " and ".join(f"{r.path} ({', '.join(r.sites(kind))})" for r in (parent, version))
+    for kind, of in (("joint", lambda r: r.channels), ("actuator", lambda r: r.sites("actuator"))):
+        if of(parent) != of(version):
+            names = " and ".join(f"{r.path} ({', '.join(of(r))})" for r in (parent, version))
             raise ConfigError(f"gap check: {kind}s differ between {names}; name the description that the version was made from")
     files = log_files(args.data)
     columns = columns_of(args, parent, files)
@@ -69,7 +69,7 @@ def check_robot(args: Any) -> dict:
             raise LogError(f"{args.data}: holds none of the logs that the search set aside: {', '.join(context.judged)}")
     for name, why in broken.items():
         console.warn(f"{name} left out: {why}")
-    records = robot_records(trials, parent.dt, parent.sites("joint"))
+    records = robot_records(trials, parent.dt, parent.channels)
     parent.check_contact(records)
     refuse_mistakes(parent, records, anyway=True)
     found = compare(parent, version, records)
@@ -100,9 +100,7 @@ def compare(parent: RobotDescription, version: RobotDescription, records: list) 
     gaps = [float(g.mean()) for g in (before, after)]
     record = np.repeat(np.arange(len(records)), [len(r.starts) for r in records])
     ratio = ratio_of(before, after, record)
-    joints = {
-        name: [float(np.sqrt(np.nanmean(r[layout.channel == name] ** 2))) for r in residuals] for name in parent.sites("joint")
-    }
+    joints = {name: [float(np.sqrt(np.nanmean(r[layout.channel == name] ** 2))) for r in residuals] for name in parent.channels}
     worse = ""
     if not gaps[1] < gaps[0]:
         worse = f"gap {level(gaps[1])} on {len(records)} logs, no smaller than its parent's {level(gaps[0])}"

@@ -87,13 +87,13 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
     """Columns of the map, or guessed, shown and confirmed. Raises LogError."""
     joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
     if args.columns:
-        found = read_columns(args.columns, joints, actuators)
+        found = read_columns(args.columns, joints, actuators, robot.base is not None)
     else:
         sheet = read_sheet(files[0])
         torques = not robot.model.actuator_biasprm[:, 1].any()
         try:
             units = {name: own.units.get(column, "") for name, (own, column) in sheet.columns.items()}
-            found = guess_columns(list(sheet.columns), joints, actuators, torques, units)
+            found = guess_columns(list(sheet.columns), joints, actuators, torques, units, robot.base is not None)
         except LogError as error:
             raise LogError(f"{sheet.where}: {error}") from error
         console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
@@ -108,7 +108,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     """Searches the logs."""
     gates = robot_gates()
     null = RobotNull(args.null_runs, args.noise, args.seed)
-    records = robot_records(trials, robot.dt, robot.sites("joint"))
+    records = robot_records(trials, robot.dt, robot.channels)
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
     robot.check_contact(seen)
     refuse_mistakes(robot, seen, args.anyway)
@@ -173,7 +173,7 @@ def place_of(inquiry: Inquiry) -> RobotLocalisation:
     """Place of the gap of the model as it is."""
     e = inquiry.evidence
     residual = e.layout.residuals(e.model.predict(e.records, e.model.null))[0]
-    rates = dict(zip(e.model.robot.sites("joint"), e.model.sizes.rate.tolist(), strict=True))
+    rates = dict(zip(e.model.robot.channels, e.model.sizes.rate.tolist(), strict=True))
     return localise_robot(e.layout, residual, e.scale, rates)
 
 

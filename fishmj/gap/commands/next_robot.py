@@ -57,13 +57,16 @@ def next_robot(args: Any) -> int:
         if name not in FAMILIES:
             raise UnknownName("experiment", name, FAMILIES)
     robot, verdict, logs = _asked(args)
+    if robot.thrusters or robot.base:
+        told = "experiments are for joints of a robot whose base is fixed, and this one floats or has thrusters"
+        raise ConfigError(f"gap next: {robot.path}: {told}; fly it by its controller, with faster turns and climbs than before")
     pairs = pairs_of(verdict) if verdict else []
     if verdict and not pairs:
         console.say(f"{verdict['answer']}: fewer than two explanations are left; no experiment has to decide between any")
         if args.json:
             console.emit_json({"answer": verdict["answer"], "experiments": []})
         return console.OK
-    others = [questioned(robot, verdict, RobotSizes(*np.ones((3, len(robot.joints)))))[1]] if verdict else []
+    others = [questioned(robot, verdict, RobotSizes(*np.ones((4, len(robot.joints)))))[1]] if verdict else []
     made = safe_experiments(
         robot, rest_of(robot, args.speed), families, args.seconds, args.speed, args.seed, others, progress.terminal_bar
     )
@@ -97,7 +100,7 @@ def _asked(args: Any) -> tuple[RobotDescription, dict | None, list[RobotRecord]]
     if args.model is not None:
         given = SimpleNamespace(model=args.model, data=args.source, columns=args.columns, yes=args.yes)
         robot, _, trials, _ = read_logs(given)
-        return robot, None, robot_records(trials, robot.dt, robot.sites("joint"))
+        return robot, None, robot_records(trials, robot.dt, robot.channels)
     verdict = reported.robot_verdict(args.source) or {}
     path = Path(verdict["context"]["model"])
     if not path.is_file() or digest(path) != verdict["context"]["model_sha256"]:
@@ -118,7 +121,7 @@ def record_of_experiment(robot: RobotDescription, one: RobotExperiment, seed: in
     noise = NOISE * np.random.default_rng([seed, 7]).standard_normal(one.q.shape)
     tables = {"cmd": {"t": one.t, **numbered("c#", one.commands)}, "joint": {"t": one.t, **numbered("j#", one.q + noise)}}
     trial = Trial({"origin": "synthetic"}, tables, name=one.family)
-    return thinned([robot_record(trial, robot.dt, robot.sites("joint"))], SEGMENTS)[0]
+    return thinned([robot_record(trial, robot.dt, robot.channels)], SEGMENTS)[0]
 
 
 def questioned(robot: RobotDescription, verdict: dict, sizes: RobotSizes) -> tuple[RigidRobot, Any, np.ndarray]:

@@ -104,7 +104,7 @@ def module_text(xml: str, robot: Any, m: Any, beyond: BeyondFields, rest: Mappin
         version=mujoco.__version__,
         math=", ".join(LAW_MATH),
         memory=joint_laws.MEMORY,
-        first=robot.joints[0].name,
+        first=robot.site_of(0),
         joint_motion=f'class JointMotion(NamedTuple):\n    """{(JointMotion.__doc__ or "").strip()}"""\n\n{fields}\n',
         functions="\n\n".join(texts.values()),
         laws="".join(rows),

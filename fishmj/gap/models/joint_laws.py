@@ -163,7 +163,8 @@ def write(m: Any, joints: Sequence[Any], present: dict[str, dict[str, tuple[floa
     ready(m, [joint.dof for joint in joints if joint.name in present])
     for joint in joints:
         before = np.count_nonzero(m.dof_frictionloss[: joint.dof] > 0.0)  # a constraint each, in their order
-        m.jnt_user[joint.joint, [FIXED.index("row"), FIXED.index("joints")]] = before, m.njnt
+        m.jnt_user[joint.joint, FIXED.index("row")] = before
+    m.jnt_user[:, FIXED.index("joints")] = m.njnt  # the first row is read, that of a free base if there is one
 
 
 def ready(m: Any, dofs: Sequence[int]) -> None:

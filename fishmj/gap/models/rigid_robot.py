@@ -4,7 +4,9 @@
              `coulomb_friction@elbow`
     segment  starts from the logged state; u(k) is the mean of the logged command over step k; commands hold between stamps
     reading  s q - z of each joint, at its stamp; the cubic through angles and rates of the steps
+    base     of one that floats: its place, and its attitude, which differs from the measured one by a rotation vector
 
+J counts channels: the coordinates of a free base (records/attitude.py), then hinges and slides.
 The mean over a step makes the prediction smooth in a delay. A late reading is a segment that begins as much earlier, so from the
 logs alone a delay of the sensors is one of the commands.
 """
@@ -25,7 +27,7 @@ from fishmj.base.cores import usable_cores
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
-from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.robot_description import RobotDescription, thrust_of
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
@@ -37,17 +39,19 @@ AT_ONCE = 4096  # rollouts of a batch, for memory's sake
 REST = 2.0  # usual torques that an actuator gives at rest if its description states no limit
 LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
 SHORT = 0.02  # m, least size of a body
+SAME_AT_CENTRE = ("payload",)  # as a heavier body, where its centre is the place from which the effect counts
 AFTERWARDS = 1e6  # s for which the last command holds
 KEPT = 64  # sets of commands, and of defects, that are kept
 USUAL = 90  # percentile over the starts of all segments
 
 
 class RobotSizes(NamedTuple):
-    """Usual size of a torque [N m] and a rate [rad/s] of each joint (J,), and of each actuator's command (A,), from logs."""
+    """Usual size of a torque [N m] and a rate [rad/s] of each channel (J,), and of each actuator's command and force (A,)."""
 
     torque: np.ndarray
     rate: np.ndarray
     command: np.ndarray
+    force: np.ndarray
 
 
 class PlacedEffect(NamedTuple):
@@ -94,7 +98,7 @@ class RigidRobot(ParameterRow):
         self._plain.opt.timestep = self.dt
         self._exact = RigidRobot(robot, sizes, (), stride=FINE) if stride >= 1 else None
         self._defects: dict[int, np.ndarray] = {}
-        self.joints = len(robot.joints)
+        self.joints = len(robot.channels)
         self._data = [mujoco.MjData(robot.model) for _ in range(usable_cores())]
         self.constants, self._factors = self._tolerances()
         self.placed: list[PlacedEffect] = []
@@ -104,6 +108,8 @@ class RigidRobot(ParameterRow):
                 continue
             for site in robot.sites(effect.robot.site):
                 if placed_name(effect.name, site) in without or (effect.robot.law and not robot.takes_laws(site)):
+                    continue
+                if effect.name in SAME_AT_CENTRE and robot.is_centred(site):
                     continue
                 listed.append(self._at(effect, effect.robot, site))
                 self.placed.append(PlacedEffect(effect, effect.robot, site, first))
@@ -125,7 +131,7 @@ class RigidRobot(ParameterRow):
     @property
     def rest(self) -> list[float]:
         """Torque of each joint's actuator at rest where the description states none, N m."""
-        return [REST * self._usual_torque(j) for j in range(self.joints)]
+        return [REST * self._usual_torque(name) for name in self.robot.sites("joint")]
 
     def with_errors(self, torque: np.ndarray, reference: np.ndarray) -> "RigidRobot":
         """The same robot with another `torque_error` and `reference`."""
@@ -135,7 +141,7 @@ class RigidRobot(ParameterRow):
 
     def records(self, trials: Sequence[Trial]) -> list[RobotRecord]:
         """The logs, ready to be predicted. Raises LogError."""
-        return robot_records(trials, self.dt, self.robot.sites("joint"))
+        return robot_records(trials, self.dt, self.robot.channels)
 
     # --------------------------------------------------------------------------------------------------------------- parameters
     def _tolerances(self) -> tuple[tuple[Constant, ...], list]:
@@ -166,6 +172,8 @@ class RigidRobot(ParameterRow):
             found.append((Constant(f"mass{AT}{name}", tolerance["mass"]), mass(b)))
             found.append((Constant(f"inertia{AT}{name}", tolerance["inertia"]), scaled("body_inertia", b)))
             found.append((Constant(f"centre{AT}{name}", tolerance["centre"]), scaled("body_ipos", b)))
+        for name, a in self.robot.thrusters.items():
+            found.append((Constant(f"gain{AT}{name}", tolerance["gain"]), gain(a)))
         for j in self.robot.joints:
             if j.actuator >= 0:
                 found.append((Constant(f"gain{AT}{j.name}", tolerance["gain"]), gain(j.actuator)))
@@ -200,17 +208,22 @@ class RigidRobot(ParameterRow):
         if unit in ("mass", "length"):
             b = self.robot.bodies[site]
             return float(m.body_mass[b]) if unit == "mass" else max(float(np.linalg.norm(m.body_ipos[b])), SHORT)
-        i = self.robot.sites("joint").index(site)
-        torque, rate = self._usual_torque(i), max(float(self.sizes.rate[i]), LEAST)
+        if kind == "actuator" and site in self.robot.thrusters:
+            size = self.sizes.command if unit == "command" else self.sizes.force
+            return max(float(size[self.robot.thrusters[site]]), LEAST)
+        i = self.robot.channels.index(site)
+        joint = self.robot.joints[self.robot.sites("joint").index(site)]
+        torque, rate = self._usual_torque(site), max(float(self.sizes.rate[i]), LEAST)
         if unit == "command":
-            return max(float(self.sizes.command[self.robot.joints[i].actuator]), LEAST)
-        inertia = float(m.dof_M0[self.robot.joints[i].dof])
+            return max(float(self.sizes.command[joint.actuator]), LEAST)
+        inertia = float(m.dof_M0[joint.dof])
         sizes = {"torque": torque, "rate": rate, "inertia": inertia, "time": 1.0 / rate, "stiffness": torque}
         return (sizes | {"damping": torque / rate, "drag": torque / rate**2})[unit]
 
-    def _usual_torque(self, joint: int) -> float:
+    def _usual_torque(self, joint: str) -> float:
         """Usual torque of a joint, or a little of that of the robot, N m."""
-        return float(np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))[joint])
+        usual = np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))
+        return float(usual[self.robot.channels.index(joint)])
 
     def model(self, row: np.ndarray) -> Any:
         """A MjModel with the constants and effects of one parameter row (P,), delays and readings aside."""
@@ -273,7 +286,7 @@ class RigidRobot(ParameterRow):
     def _reading(self, present: list[PresentEffect]) -> tuple[np.ndarray, np.ndarray]:
         """(J,) scale and zero of the joints' encoders."""
         scale, zero = np.ones(self.joints), np.zeros(self.joints)
-        names = self.robot.sites("joint")
+        names = self.robot.channels
         for placed, p in present:
             if placed.form.reading is not None:
                 factor, offset = placed.form.reading(p)
@@ -315,9 +328,9 @@ class RigidRobot(ParameterRow):
         angle = (every("angles") + zero + still[:, :1]) / scale
         rate = (every("rates") - self._early * every("accelerations") + still[:, 1:]) / scale
         m = self.robot.model
-        places, dofs = [j.place for j in self.robot.joints], [j.dof for j in self.robot.joints]
+        dofs = self.robot.dofs
         start = np.zeros((rows, segments, 1 + m.nq + m.nv))
-        start[..., [1 + p for p in places]] = angle
+        start[..., 1 : 1 + m.nq] = self.robot.qpos(angle, every("start_turns"))
         start[..., [1 + m.nq + d for d in dofs]] = rate
         out, marks = (
             [np.empty((rows, len(record.joint.t), self.joints)) for record in records],
@@ -338,14 +351,15 @@ class RigidRobot(ParameterRow):
             begins = np.ascontiguousarray(start[some].reshape(len(batch), -1))
             state = self._rolled(batch, begins, u, spec, lawful)
             state = np.concatenate([begins[:, None], state], 1).reshape(-1, segments, steps + 1, begins.shape[1])
-            q, v = state[..., [1 + p for p in places]], state[..., [1 + m.nq + d for d in dofs]]
+            q, v = self.robot.motion(state)
             first = 0
             for record, seen in zip(records, out, strict=True):
                 edges = [*np.searchsorted(record.joint.t, record.starts), len(record.joint.t)]
                 for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
                     at = np.broadcast_to(record.joint.t[a:b] - record.starts[k], (len(q), b - a))
                     angles, rates = (np.ascontiguousarray(part[:, first + k]) for part in (q, v))
-                    seen[some, a:b] = hermite(angles, rates, self.dt, np.ascontiguousarray(at))
+                    told = hermite(angles, rates, self.dt, np.ascontiguousarray(at))
+                    seen[some, a:b] = record.beside(told, slice(a, b))
                 first += len(record.starts)
         return [scale * seen - zero for seen in out]
 
@@ -376,9 +390,10 @@ class RigidRobot(ParameterRow):
         out = np.empty((len(record.starts), steps, record.commands.shape[1]))
         for a in range(out.shape[2]):
             sent, asked = record.sent, record.commands[:, a]
-            mine = next((j.name for j in self.robot.joints if j.actuator == a), "")
+            mine = self.robot.site_of(a)
             for placed, p in changes:
-                if placed.site in ("", mine) and placed.form.command is not None:
+                apart = placed.form.site == "thrusters" and mine not in self.robot.thrusters
+                if placed.site in ("", mine) and not apart and placed.form.command is not None:
                     sent, asked = placed.form.command(p, sent, asked)
             edges = np.append(sent, sent[-1] + AFTERWARDS)
             whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
@@ -438,20 +453,23 @@ def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSi
     there: a light leg with much friction needs little and is given much.
     """
     m, d = robot.model, mujoco.MjData(robot.model)
-    places, dofs = [j.place for j in robot.joints], [j.dof for j in robot.joints]
-    needed, given, rate = [], [], []
+    dofs = robot.dofs
+    needed, given, rate, force = [], [], [], []
     command = np.stack([np.percentile(np.abs(r.commands - r.commands.mean(0)), USUAL, axis=0) for r in records]).mean(0)
     for record in records:
         held = np.maximum(np.searchsorted(record.sent, record.starts, side="right") - 1, 0)
-        for q, v, a, u in zip(record.angles, record.rates, record.accelerations, record.commands[held], strict=True):
-            d.qpos[places], d.qvel[dofs], d.qacc[dofs], d.ctrl[:] = q, v, a, u
+        states = robot.qpos(record.angles, record.start_turns)
+        for q, v, a, u in zip(states, record.rates, record.accelerations, record.commands[held], strict=True):
+            d.qpos[:], d.qvel[dofs], d.qacc[dofs], d.ctrl[:] = q, v, a, u
             mujoco.mj_inverse(m, d)
             needed.append(np.abs(d.qfrc_inverse[dofs]))
             mujoco.mj_fwdActuation(m, d)
             given.append(np.abs(d.qfrc_actuator[dofs]))
             rate.append(np.abs(v))
-    torque, driven, usual = (np.percentile(part, USUAL, axis=0) for part in (needed, given, rate))
-    return RobotSizes(np.maximum(torque, driven), usual, command)
+            force.append(np.abs(d.actuator_force))
+    torque, driven, usual, thrust = (np.percentile(part, USUAL, axis=0) for part in (needed, given, rate, force))
+    thrust *= [thrust_of(m, a) if a in robot.thrusters.values() else 1.0 for a in range(m.nu)]
+    return RobotSizes(np.maximum(torque, driven), usual, command, thrust)
 
 
 def _keep(kept: dict, key: Any, value: np.ndarray) -> None:

@@ -21,7 +21,8 @@ BODY = ("mass", "inertia", "ipos", "iquat")
 def patched(robot: RobotDescription, model: Any, delay: float = 0.0) -> str:
     """MJCF of the description with the fields of a changed model. delay: s that all commands come later."""
     spec, before = robot.spec.copy(), robot.model
-    for joint, known in zip(spec.joints, robot.joints, strict=True):
+    moving = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    for joint, known in zip(moving, robot.joints, strict=True):
         for name, first, more in JOINT:
             place = known.joint if first.startswith("jnt") else known.dof
             now, then = ([float(getattr(x, first)[place]), *getattr(x, more)[place].tolist()] for x in (model, before))
@@ -32,7 +33,7 @@ def patched(robot: RobotDescription, model: Any, delay: float = 0.0) -> str:
             if getattr(model, field)[known.dof] != getattr(before, field)[known.dof]:
                 setattr(joint, name, float(getattr(model, field)[known.dof]))
     if model.jnt_user.any():  # laws of joint_laws.py
-        spec.nuserdata = max(spec.nuserdata, joint_laws.remembered(len(robot.joints)))
+        spec.nuserdata = max(spec.nuserdata, joint_laws.remembered(robot.model.njnt))
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     if any(model.dof_frictionloss > before.dof_frictionloss):
         off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS

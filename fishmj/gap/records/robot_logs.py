@@ -14,6 +14,9 @@ MAP.toml says which column is which; without one the columns are guessed from th
     [actuator]                                                  # commands, by the model's actuator
     shoulder = "tau_con1"
     elbow = { column = "current2", scale = 0.52 }               # N m / A
+    [base]                                                      # of a free base: place, and each part of its quaternion
+    x = { column = "mocap_x", unit = "mm" }
+    y = ..  z = ..  qw = ..  qx = ..  qy = ..  qz = ..
 
 value = sign (cell - zero) scale unit.
 """
@@ -27,6 +30,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from fishmj.base.errors import FishmjError, LogError
+from fishmj.gap.records.attitude import PLACE, QUATERNION, unit_quaternions
 from fishmj.log import Trial, numbered
 from fishmj.log.importers import header
 from fishmj.log.importers.column_map import Column, Stamp, map_table
@@ -48,22 +52,28 @@ SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
 MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states"}
 CURRENT = {"current", "currents", "amp", "amps", "load", "pwm"}
 MILLI = {"mN": 1e-3, "mN m": 1e-3}  # N, N m
+POSE = (*PLACE, *QUATERNION)
+PLACED = {"pos", "position", "base", "pose", "p", "translation", "mocap", "location"}
+TURNED = {"q", "quat", "quaternion", "orientation", "rot", "rotation", "att", "attitude"}
+TWIST = {"v", "twist", "linear", "angular", "gyro", "omega", "covariance"}
 PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
 SLOWEST = 0.4  # s from row to row; a larger step is in another unit
 LARGEST, FASTEST, OVER = 60.0, 50.0, 0.02  # rad; rad/s over so many s: a joint beyond either is not in rad
 
 
 class RobotColumns(NamedTuple):
-    """Which column is which. joint, actuator: by the model's names, in its order."""
+    """Which column is which. joint, actuator: by the model's names, in its order. base: by POSE, empty if it is fixed."""
 
     time: Stamp
     joint: dict[str, Column]
     actuator: dict[str, Column]
+    base: dict[str, Column] = {}
 
     def rows(self) -> list[str]:
         """One line a column, for a reader."""
         unit = lambda c, otherwise: f" [{c.unit or otherwise}]"
         out = [f"{self.time.column} -> time{unit(self.time, 's')}"]
+        out += [f"{c.column} -> {name} of the base{unit(c, 'm') if name in PLACE else ''}" for name, c in self.base.items()]
         out += [f"{c.column} -> position of {name}{unit(c, 'rad or m')}" for name, c in self.joint.items()]
         scale = lambda c: f" times {c.scale:g}" if c.scale != 1 else ""
         return out + [f"{c.column} -> command of {name}{scale(c)}" for name, c in self.actuator.items()]
@@ -74,10 +84,14 @@ class RobotColumns(NamedTuple):
         return [f"commands of {', '.join(measured)} are measured, not sent: their gain is that of a sensor"] if measured else []
 
 
-def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str]) -> RobotColumns:
-    """The map of a file. Raises LogError: not TOML, an unknown key, or a joint or actuator of the model without a column."""
+def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str], free: bool = False) -> RobotColumns:
+    """The map of a file. free: the model has a free base.
+
+    Raises:
+        LogError: not TOML, an unknown key, or a joint, an actuator or the base of the model without a column.
+    """
     raw, tables = map_table(path), {}
-    for table, names in (("joint", joints), ("actuator", actuators)):
+    for table, names in (("joint", joints), ("actuator", actuators), ("base", POSE if free else ())):
         given = raw.get(table, {})
         known = set(given) if isinstance(given, dict) else set()
         if known != set(names):
@@ -85,8 +99,8 @@ def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str]) ->
             why = "the model has none of that name" if wrong in known else "is missing"
             raise LogError(f"{path}: [{table}] {bare(wrong)}: {why}; expected a column for each of {', '.join(names)}")
         tables[table] = {name: _column(given[name], f"{path}: [{table}] {name}", Column) for name in names}
-    if unknown := sorted(set(raw) - {"time", "joint", "actuator"}):
-        raise LogError(f"{path}: {bare(unknown[0])} is no key; expected time, [joint] and [actuator]")
+    if unknown := sorted(set(raw) - {"time", "joint", "actuator", "base"}):
+        raise LogError(f"{path}: {bare(unknown[0])} is no key; expected time, [joint], [actuator] and [base]")
     return RobotColumns(_column(raw.get("time"), f"{path}: time", Stamp), **tables)
 
 
@@ -102,22 +116,30 @@ def _column(given: Any, where: str, kind: Any) -> Any:
 
 
 def guess_columns(
-    names: Sequence[str], joints: Sequence[str], actuators: Sequence[str], torques: bool, units: Mapping[str, str] | None = None
+    names: Sequence[str],
+    joints: Sequence[str],
+    actuators: Sequence[str],
+    torques: bool,
+    units: Mapping[str, str] | None = None,
+    free: bool = False,
 ) -> RobotColumns:
     """Columns by their names.
 
     Args:
         torques: True if the model's actuators take torques, not positions. units: stated by the file beside the names.
+        free: the model has a free base.
 
     Raises:
         LogError: nothing fits, or two fit as well.
     """
+    base = _pose_columns(names) if free else {}
+    names = [n for n in names if n not in base.values()]
     last = {word for site in (*joints, *actuators) for word in header.words(site)[-1:]}  # pos_a of joint a is no ampere
     unit = {n: "" if last & set(header.words(n)[-1:]) and n[-1:].isalnum() else header.parse(n).unit for n in names}
     unit = {n: u or (units or {}).get(n, "") or _angle(n) for n, u in unit.items()}
     moves, asks = ("angle", "length"), ("torque", "force") if torques else ("angle", "length")
     fits = lambda kinds: {n: measures(unit[n]) in ("", *kinds) for n in names}
-    measured = _best("positions of the joints", "joint", fits(moves), joints, lambda w: _position_score(w))
+    measured = _best("positions of the joints", "joint", fits(moves), joints, lambda w: _position_score(w)) if joints else {}
     asked = _best("commands of the actuators", "actuator", fits(asks), actuators, lambda w: _command_score(w, torques))
     return RobotColumns(
         _stamp(names, unit),
@@ -126,7 +148,35 @@ def guess_columns(
             name: Column(column=c, scale=MILLI.get(unit[c], 1.0)) if torques else Column(column=c, unit=unit[c])
             for name, c in asked.items()
         },
+        {part: Column(column=column, unit=_length(column) if part in PLACE else "") for part, column in base.items()},
     )
+
+
+def _pose_columns(names: Sequence[str]) -> dict[str, str]:
+    """Column of each part of a base's pose, by a last letter after words for a place or a quaternion. Raises LogError."""
+    found: dict[str, list[str]] = {part: [] for part in POSE}
+    for name in names:
+        words = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+        if not words or set(words) & (ASKED | OTHERS | TWIST):
+            continue
+        last, before = words[-1], set(words[:-1])
+        if last in QUATERNION or (last in "wxyz" and len(last) == 1 and before & TURNED):
+            found["q" + last[-1]].append(name)
+        elif last in PLACE and (before & PLACED or not before) and not before & TURNED:
+            found[last].append(name)
+    for part, columns in found.items():
+        if len(columns) != 1:
+            what = f"{' or '.join(map(bare, columns))}?" if columns else f"no column among {_listed(names)};"
+            each = " ".join(f"{p} = .." for p in POSE)
+            hint = f"name the place and each part of the quaternion in a map, --columns MAP.toml, [base] {each}"
+            fixed = "" if columns else "; if the base was held, weld it in the model"
+            raise LogError(f"{part} of the free base: {what} {hint}{fixed}")
+    return {part: columns[0] for part, columns in found.items()}
+
+
+def _length(column: str) -> str:
+    """Unit of a place that is a word of the name; "" without one."""
+    return "mm" if "mm" in _words(column) else ""
 
 
 def _stamp(names: Sequence[str], units: Mapping[str, str]) -> Stamp:
@@ -299,6 +349,8 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     """
     tables = {}
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
+        if not part:
+            continue
         t, values = table.read(columns.time, list(part.values()))
         if key == "joint":
             _refuse_degrees(table, columns, t, values)
@@ -316,7 +368,23 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
                 f"{table.where}: a row every {step:.4g} s; is it s? State the unit in a map, --columns MAP.toml: {line}"
             )
         tables[key] = {"t": t[keep], **numbered(template, values[keep])}
+    if columns.base:
+        tables["joint"] = _posed(table, columns, tables.get("joint"))
     return Trial({}, tables, name=table.name, notes=tuple(note for sheet in table.sheets for note in sheet.notes))
+
+
+def _posed(table: LogTable, columns: RobotColumns, joint: dict | None) -> dict[str, np.ndarray]:
+    """Table of a base's pose, with the joints (or None) as they are at its stamps. Raises LogError."""
+    t, pose = table.read(columns.time, list(columns.base.values()))
+    keep = np.isfinite(t) & np.isfinite(pose).all(1)
+    t, pose = t[keep], pose[keep]
+    if len(t) < 2 or not np.all(np.diff(t) > 0):
+        raise LogError(f"{table.where}: fewer than two rows have the base's pose, or their stamps do not rise; sort the rows")
+    pose[:, 3:] = unit_quaternions(pose[:, 3:], table.where)
+    out = {"t": t, **dict(zip(POSE, pose.T, strict=True))}
+    if joint is None:
+        return out
+    return out | {name: np.interp(t, joint["t"], values) for name, values in joint.items() if name != "t"}
 
 
 def in_parts(log: Trial) -> list[Trial]:

@@ -4,6 +4,9 @@
     error of the start             root mean square difference to a local quintic: noise, and what a cubic cannot follow
     noise of a joint               residual of the local cubics, median over the starts
 
+A free base (attitude.py) comes first: its place, and its turn from the start of the segment, whose polynomial is in the frame of
+the start.
+
 A chaotic arm leaves any model within seconds, so no log is compared as one free run. A segment is a whole number of the windows
 of `ResidualLayout`, so no average crosses a start.
 """
@@ -16,6 +19,7 @@ import numpy as np
 
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import LogError
+from fishmj.gap.records import attitude
 from fishmj.gap.records.records import WINDOW, Sensor
 from fishmj.log import Trial
 from fishmj.log.trial import stacked
@@ -31,6 +35,9 @@ def assumed(table: str) -> dict[str, float]:
     return {key: entry["value"] for key, entry in read_toml(calib_folder() / FILE)[table].items()}
 
 
+NO_TURNS = np.zeros((0, 4))  # of a fixed base
+
+
 class RobotRecord(NamedTuple):
     """One log. The fields from `pose` on are those of a fish's `Record` that a robot's log does not have."""
 
@@ -40,7 +47,7 @@ class RobotRecord(NamedTuple):
     dt: float  # s, the model's step
     sent: np.ndarray  # (n,) s
     commands: np.ndarray  # (n, A) as sent, by actuator
-    joint: Sensor  # rad or m, by joint, readings within segments only
+    joint: Sensor  # rad or m, by joint, after the six coordinates of a free base; readings within segments only
     starts: np.ndarray  # (S,) s
     length: float  # s of a segment
     angles: np.ndarray  # (S, J) at the starts
@@ -49,6 +56,8 @@ class RobotRecord(NamedTuple):
     angle_error: np.ndarray  # (J,)
     rate_error: np.ndarray  # (J,)
     channels: Mapping[str, tuple[str, ...]]  # names of the joints, as the residual's channels
+    turns: np.ndarray = NO_TURNS  # (K, 4) attitude of a free base at the readings
+    start_turns: np.ndarray = NO_TURNS  # (S, 4) at the starts
     pose: None = None
     power: None = None
     placed: None = None
@@ -60,8 +69,19 @@ class RobotRecord(NamedTuple):
     @property
     def mark(self) -> int:
         """Number that differs where commands, stamps or starts differ: a changed record keeps its name."""
-        arrays = self.sent, self.commands, self.joint.t, self.starts, self.angles, self.rates, self.accelerations
+        arrays = [self.sent, self.commands, self.joint.t, self.starts, self.angles, self.rates, self.accelerations]
+        arrays += [self.turns, self.start_turns]
         return hash((self.length, *(a.tobytes() for a in arrays)))
+
+    def beside(self, told: np.ndarray, rows: slice) -> np.ndarray:
+        """(R, n, J) readings at some rows, from a base's place and quaternion and joints (R, n, J + 1); of joints alone, them.
+
+        Measured less predicted is then the rotation vector from the predicted attitude to the measured one.
+        """
+        if not len(self.turns):
+            return told
+        turn = attitude.rotation_vector(told[..., 3:7], self.turns[rows])
+        return np.concatenate([told[..., :3], self.joint.values[rows, 3:6] + turn, told[..., 7:]], -1)
 
     @property
     def seconds(self) -> float:
@@ -70,7 +90,7 @@ class RobotRecord(NamedTuple):
 
 
 def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecord:
-    """Cuts one log into segments and estimates their starts. dt: the model's step [s].
+    """Cuts one log into segments and estimates their starts. dt: the model's step [s]. joints: `RobotDescription.channels`.
 
     Raises:
         LogError: no commands or positions, another number of joints, or no segment without a pause.
@@ -80,15 +100,23 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
             raise LogError(f"log {trial.name}: no {what}; the search needs what was commanded and how the joints moved")
     cmd, moved = trial.table("cmd"), trial.table("joint")
     begin = max(float(cmd["t"][0]), float(moved["t"][0]))
-    t, q = np.asarray(moved["t"], float) - begin, stacked(moved, "j#")
+    t, q, turns, begins = np.asarray(moved["t"], float) - begin, stacked(moved, "j#"), NO_TURNS, NO_TURNS
+    free = attitude.has_base(joints)
+    if free:
+        if missing := [c for c in (*attitude.PLACE, *attitude.QUATERNION) if c not in moved]:
+            raise LogError(f"log {trial.name}: no column {missing[0]} of the base's pose; the model has a free base")
+        turns = np.stack([moved[c] for c in attitude.QUATERNION], 1)
+        place = np.stack([moved[c] for c in attitude.PLACE], 1)
+        q = np.concatenate([place, np.zeros_like(place), q], 1)  # turns are filled in from each start
     if q.shape[1] != len(joints):
         raise LogError(f"log {trial.name}: positions of {q.shape[1]} joints; the model has {len(joints)}: {', '.join(joints)}")
-    keep = np.isfinite(q).all(1)
-    t, q = t[keep], q[keep]
+    keep = np.isfinite(q).all(1) & (np.isfinite(turns).all(1) if free else True)
+    t, q, turns = t[keep], q[keep], turns[keep] if free else turns
     if len(t) < 2 or not np.all(np.diff(t) > 0):
         raise LogError(f"log {trial.name}: stamps of positions do not rise; sort the rows, and remove those that repeat a stamp")
-    if np.abs(np.diff(q, axis=0)).max() > TURN:
-        q = np.unwrap(q, axis=0)
+    own = q[:, 6:] if free else q
+    if np.abs(np.diff(own, axis=0)).max(initial=0.0) > TURN:
+        own[:] = np.unwrap(own, axis=0)
     segments, window = assumed("segments"), WINDOW["joint"]
     step = float(np.median(np.diff(t)))
     half = max(segments["half"], 0.5 * step * (segments["fewest"] + 1))
@@ -103,15 +131,27 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
         whole_log = f"{t[-1] - t[0]:.2g} s with {len(pauses)} pauses"
         raise LogError(f"log {trial.name}: no {length:g} s without a pause in {whole_log}; record it anew")
     starts = np.array(whole)
-    fits = [_local(t, q, s, half, degree=3) for s in starts]
-    finer = [_local(t, q, s, half, degree=5) for s in starts]
+    inside = np.searchsorted(starts, t, side="right") - 1
+    used = (inside >= 0) & (t < starts[np.maximum(inside, 0)] + length)
+    if free:
+        begins = np.stack([_attitude_at(t, turns, s, half) for s in starts])
+    fits, finer = [], []
+    for k, s in enumerate(starts):
+        rows = _near(t, s, half)
+        mine = q[rows]
+        if free:
+            mine = np.concatenate([mine[:, :3], attitude.rotation_vector(turns[rows], begins[k]), mine[:, 6:]], 1)
+        fits.append(_local(t[rows], mine, s, half, degree=3))
+        finer.append(_local(t[rows], mine, s, half, degree=5))
     values = np.stack([fit.values for fit in fits])  # (S, 4.., J)
     wider = np.stack([fit.values for fit in finer])
     error = np.sqrt(np.mean((values[:, :2] - wider[:, :2]) ** 2, 0))
     sigma = np.maximum(np.median(np.stack([fit.residual for fit in fits]), 0), 1e-9)
     spread = np.stack([fit.spread[:2] for fit in fits]).mean(0)[:, None] * sigma
-    inside = np.searchsorted(starts, t, side="right") - 1
-    used = (inside >= 0) & (t < starts[np.maximum(inside, 0)] + length)
+    if free:
+        begins = attitude.turned(begins, values[:, 0, 3:6])
+        values[:, 0, 3:6] = 0.0
+        q[:, 3:6] = attitude.rotation_vector(turns, begins[np.maximum(inside, 0)])
     return RobotRecord(
         name=trial.name,
         excitation=str(trial.value("excitation", "") or ""),
@@ -128,6 +168,8 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
         angle_error=np.maximum(error[0], spread[0]),
         rate_error=np.maximum(error[1], spread[1]),
         channels={"joint": joints},
+        turns=turns[used] if free else turns,
+        start_turns=begins,
     )
 
 
@@ -135,6 +177,18 @@ def pauses_in(t: np.ndarray) -> np.ndarray:
     """(K, 2) s: begin and end of each pause in stamps (T,)."""
     late = np.flatnonzero(np.diff(t) > max(PAUSE, 5.0 * float(np.median(np.diff(t)))))
     return np.stack([t[late], t[late + 1]], 1)
+
+
+def _near(t: np.ndarray, at: float, half: float) -> slice:
+    """Rows that a local fit may take."""
+    return slice(*np.searchsorted(t, [at - 4.0 * half, at + 4.0 * half]))
+
+
+def _attitude_at(t: np.ndarray, turns: np.ndarray, at: float, half: float) -> np.ndarray:
+    """(4,) attitude at a time: a local cubic of the rotation vector from the nearest reading."""
+    k, rows = int(np.clip(np.searchsorted(t, at), 0, len(t) - 1)), _near(t, at, half)
+    fit = _local(t[rows], attitude.rotation_vector(turns[rows], turns[k]), at, half, degree=3)
+    return attitude.turned(turns[k], fit.values[0])
 
 
 def robot_records(trials: Sequence[Trial], dt: float, joints: tuple[str, ...]) -> list[RobotRecord]:
@@ -155,6 +209,8 @@ def _some_of(record: RobotRecord, count: int) -> RobotRecord:
     rows = np.isin(place, kept)
     joint = record.joint._replace(t=record.joint.t[rows], values=record.joint.values[rows])
     some = {name: getattr(record, name)[kept] for name in ("starts", "angles", "rates", "accelerations")}
+    if len(record.turns):
+        some |= {"turns": record.turns[rows], "start_turns": record.start_turns[kept]}
     return record._replace(joint=joint, **some)
 
 

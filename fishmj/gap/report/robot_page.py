@@ -74,10 +74,11 @@ def _torques(m: ReportData) -> Section:
     """Torques that no effect explains; empty where they were not asked for."""
     found = m.inquiry.verdict.gates.get("torques", {})
     robot = m.inquiry.evidence.model
-    usual = dict(zip(robot.robot.sites("joint"), robot.sizes.torque.tolist(), strict=True))
+    unit = robot.robot.force_unit
+    usual = dict(zip(robot.robot.channels, robot.sizes.torque.tolist(), strict=True))
     rows = [
-        {"joint": part("strong", title(joint)), "before": quantity(a, "N m"), "after": quantity(b, "N m")}
-        | {"usual torque of the joint": quantity(usual[joint], "N m")}
+        {"joint": part("strong", title(joint)), "before": quantity(a, unit(joint)), "after": quantity(b, unit(joint))}
+        | {"usual torque of the joint": quantity(usual[joint], unit(joint))}
         for joint, (a, b) in found.items()
     ]
     about = "Most likely size of the torques at each joint that the model does not explain, each lasting 60 ms."

@@ -111,7 +111,7 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     left = {n: x for n, x, most in zip(names, after, allowed, strict=True) if x > most}
     if not left or verdict.answer not in ("AGREES", "NAMED", "CLASS"):
         return verdict
-    words = " and ".join(f"{quantity(x, 'N m')} at {title(n)}" for n, x in left.items())
+    words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
     if verdict.answer == "AGREES":
         return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect of the catalogue explains")
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}

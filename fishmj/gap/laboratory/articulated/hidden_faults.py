@@ -37,16 +37,16 @@ class Fault(NamedTuple):
     coupled: bool = False  # only where there is a joint before it
 
 
-def _size(rng, low: float, high: float, signed: bool = False) -> float:
+def log_uniform(rng, low: float, high: float, signed: bool = False) -> float:
     value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return -value if signed and rng.integers(2) else value
 
 
-def _of(name: str, low: float, high: float, scale: Callable | None = None, signed: bool = False):
+def one_parameter(name: str, low: float, high: float, scale: Callable | None = None, signed: bool = False):
     """Draws one parameter, a share of a scale."""
 
     def draw(rng, plan, usual, k):
-        return {name: _size(rng, low, high, signed) * (scale(plan, usual, k) if scale else 1.0)}
+        return {name: log_uniform(rng, low, high, signed) * (scale(plan, usual, k) if scale else 1.0)}
 
     return draw
 
@@ -89,12 +89,12 @@ def _centre(plan: RobotPlan, k: int, v) -> RobotPlan:
 
 def _draw_centre(rng, plan, usual, k):
     way = rng.standard_normal(3)
-    way *= _size(rng, 0.08, 0.25) * np.linalg.norm(plan.limbs[k].centre) / np.linalg.norm(way)
+    way *= log_uniform(rng, 0.08, 0.25) * np.linalg.norm(plan.limbs[k].centre) / np.linalg.norm(way)
     return dict(zip("xyz", map(float, way), strict=True))
 
 
 def _draw_tilt(rng, plan, usual, k):
-    way, size = rng.uniform(0.0, 2 * np.pi), _size(rng, 0.02, 0.08)
+    way, size = rng.uniform(0.0, 2 * np.pi), log_uniform(rng, 0.02, 0.08)
     return {"pitch": float(size * np.cos(way)), "roll": float(size * np.sin(way))}
 
 
@@ -106,63 +106,71 @@ def _tilt(plan: RobotPlan, k: int, v) -> RobotPlan:
 
 def _draw_wind(rng, plan, usual, k):
     way = rng.uniform(0.0, 2 * np.pi)
-    size = _size(rng, 6.0, 25.0)
+    size = log_uniform(rng, 6.0, 25.0)
     return {"x": float(size * np.cos(way)), "y": float(size * np.sin(way)), "z": 0.0}
 
 
 def _draw_ripple(rng, plan, usual, k):
-    size, phase = _size(rng, 0.08, 0.25) * usual.torque[k], rng.uniform(0.0, 2 * np.pi)
+    size, phase = log_uniform(rng, 0.08, 0.25) * usual.torque[k], rng.uniform(0.0, 2 * np.pi)
     period = 2.0 * np.pi / int(rng.integers(6, 24))
     return {"sine": float(size * np.cos(phase)), "cosine": float(size * np.sin(phase)), "period": period}
 
 
 FAULTS: dict[str, Fault] = {
-    "coulomb_friction": Fault("joint", _of("torque", 0.04, 0.25, torque), _added("friction", "torque")),
-    "viscous_friction": Fault("joint", _of("damping", 0.05, 0.3, damping), _added("damping", "damping")),
-    "quadratic_friction": Fault("joint", _of("drag", 0.05, 0.3, drag), _added("drag", "drag")),
-    "rotor_inertia": Fault("joint", _of("inertia", 0.12, 0.7, inertia), _added("armature", "inertia")),
-    "joint_stiffness": Fault("joint", _of("stiffness", 0.06, 0.4, torque), _added("stiffness", "stiffness")),
-    "servo_gain": Fault("actuator", _of("gain", 0.1, 0.4, None, True), _gain),
+    "coulomb_friction": Fault("joint", one_parameter("torque", 0.04, 0.25, torque), _added("friction", "torque")),
+    "viscous_friction": Fault("joint", one_parameter("damping", 0.05, 0.3, damping), _added("damping", "damping")),
+    "quadratic_friction": Fault("joint", one_parameter("drag", 0.05, 0.3, drag), _added("drag", "drag")),
+    "rotor_inertia": Fault("joint", one_parameter("inertia", 0.12, 0.7, inertia), _added("armature", "inertia")),
+    "joint_stiffness": Fault("joint", one_parameter("stiffness", 0.06, 0.4, torque), _added("stiffness", "stiffness")),
+    "servo_gain": Fault("actuator", one_parameter("gain", 0.1, 0.4, None, True), _gain),
     "servo_damping_gain": Fault(
         "actuator",
-        _of("gain", 0.2, 0.8, None, True),
+        one_parameter("gain", 0.2, 0.8, None, True),
         lambda plan, k, v: plan.changed(k, kv=plan.limbs[k].kv * (1 + v["gain"])),
         servos=True,
     ),
-    "torque_offset": Fault("actuator", _of("torque", 0.05, 0.25, torque, True), _added("offset", "torque")),
-    "torque_saturation": Fault("actuator", _of("limit", 0.5, 0.85, torque), lambda plan, k, v: plan.changed(k, limit=v["limit"])),
-    "body_mass": Fault("body", _of("mass", 0.12, 0.5, mass), _mass),
-    "payload": Fault("body", _of("mass", 0.06, 0.4, mass), _carry),
+    "torque_offset": Fault("actuator", one_parameter("torque", 0.05, 0.25, torque, True), _added("offset", "torque")),
+    "torque_saturation": Fault(
+        "actuator", one_parameter("limit", 0.5, 0.85, torque), lambda plan, k, v: plan.changed(k, limit=v["limit"])
+    ),
+    "body_mass": Fault("body", one_parameter("mass", 0.12, 0.5, mass), _mass),
+    "payload": Fault("body", one_parameter("mass", 0.06, 0.4, mass), _carry),
     "com_offset": Fault("body", _draw_centre, _centre),
     "link_inertia": Fault(
         "body",
-        _of("share", 0.4, 1.5),
+        one_parameter("share", 0.4, 1.5),
         lambda plan, k, v: plan.changed(k, inertia=tuple(x * (1 + v["share"]) for x in plan.limbs[k].inertia)),
     ),
     "base_tilt": Fault("robot", _draw_tilt, _tilt),
-    "air_drag": Fault("robot", _of("density", 8.0, 60.0), lambda plan, k, v: plan._replace(density=v["density"])),
+    "air_drag": Fault("robot", one_parameter("density", 8.0, 60.0), lambda plan, k, v: plan._replace(density=v["density"])),
     "steady_wind": Fault("robot", _draw_wind, lambda plan, k, v: plan._replace(density=AIR, wind=(v["x"], v["y"], v["z"]))),
-    "joint_zero_offset": Fault("joint", _of("offset", 0.02, 0.08, None, True)),
-    "joint_scale": Fault("joint", _of("scale", 0.02, 0.08, None, True)),
-    "command_latency": Fault("robot", _of("delay", 0.006, 0.04)),
-    "joint_sensor_delay": Fault("robot", _of("delay", 0.006, 0.04)),
-    "command_hold": Fault("robot", _of("period", 0.02, 0.07)),
-    "command_quantisation": Fault("actuator", _of("step", 0.12, 0.5, command)),
-    "clock_drift": Fault("robot", lambda rng, plan, usual, k: {"rate": 1.0 + _size(rng, 1e-3, 6e-3, True)}),
-    "latency_jitter": Fault("robot", _of("sigma", 0.006, 0.03)),
-    "packet_loss": Fault("robot", _of("probability", 0.02, 0.15)),
+    "joint_zero_offset": Fault("joint", one_parameter("offset", 0.02, 0.08, None, True)),
+    "joint_scale": Fault("joint", one_parameter("scale", 0.02, 0.08, None, True)),
+    "command_latency": Fault("robot", one_parameter("delay", 0.006, 0.04)),
+    "joint_sensor_delay": Fault("robot", one_parameter("delay", 0.006, 0.04)),
+    "command_hold": Fault("robot", one_parameter("period", 0.02, 0.07)),
+    "command_quantisation": Fault("actuator", one_parameter("step", 0.12, 0.5, command)),
+    "clock_drift": Fault("robot", lambda rng, plan, usual, k: {"rate": 1.0 + log_uniform(rng, 1e-3, 6e-3, True)}),
+    "latency_jitter": Fault("robot", one_parameter("sigma", 0.006, 0.03)),
+    "packet_loss": Fault("robot", one_parameter("probability", 0.02, 0.15)),
     "stribeck": Fault(
-        "joint", lambda rng, plan, usual, k: {"torque": _size(rng, 0.06, 0.25) * usual.torque[k], "speed": _size(rng, 0.06, 0.3)}
+        "joint",
+        lambda rng, plan, usual, k: {
+            "torque": log_uniform(rng, 0.06, 0.25) * usual.torque[k],
+            "speed": log_uniform(rng, 0.06, 0.3),
+        },
     ),
-    "load_friction": Fault("joint", _of("ratio", 0.08, 0.3)),
-    "speed_limit": Fault("actuator", lambda rng, plan, usual, k: {"slowness": _size(rng, 0.35, 0.8) / float(usual.rate[k])}),
+    "load_friction": Fault("joint", one_parameter("ratio", 0.08, 0.3)),
+    "speed_limit": Fault(
+        "actuator", lambda rng, plan, usual, k: {"slowness": log_uniform(rng, 0.35, 0.8) / float(usual.rate[k])}
+    ),
     "torque_ripple": Fault("joint", _draw_ripple),
     # outside every catalogue
-    "elastic_coupling": Fault("joint", _of("stiffness", 0.15, 0.6, torque), coupled=True),
+    "elastic_coupling": Fault("joint", one_parameter("stiffness", 0.15, 0.6, torque), coupled=True),
     "cable_torque": Fault(
         "joint",
         lambda rng, plan, usual, k: {
-            "torque": _size(rng, 0.15, 0.6) * usual.torque[k],
+            "torque": log_uniform(rng, 0.15, 0.6) * usual.torque[k],
             "from": float(rng.uniform(-0.4, 0.2)) * plan.limbs[k].swing[1],
             "side": float(rng.choice((-1.0, 1.0))),
         },
@@ -170,7 +178,7 @@ FAULTS: dict[str, Fault] = {
     "vibration": Fault(
         "joint",
         lambda rng, plan, usual, k: {
-            "torque": _size(rng, 0.1, 0.35) * usual.torque[k],
+            "torque": log_uniform(rng, 0.1, 0.35) * usual.torque[k],
             "frequency": float(rng.uniform(1.5, 6.0)),
             "phase": float(rng.uniform(0, 2 * np.pi)),
         },
@@ -178,8 +186,8 @@ FAULTS: dict[str, Fault] = {
     "hysteresis": Fault(
         "joint",
         lambda rng, plan, usual, k: {
-            "torque": _size(rng, 0.12, 0.4) * usual.torque[k],
-            "angle": _size(rng, 0.3, 0.8) * plan.limbs[k].swing[1],
+            "torque": log_uniform(rng, 0.12, 0.4) * usual.torque[k],
+            "angle": log_uniform(rng, 0.3, 0.8) * plan.limbs[k].swing[1],
         },
     ),
 }

@@ -80,3 +80,27 @@ class JointLaws:
             else:
                 out[k] += p["ratio"] * abs(motor[k])
         return out
+
+
+class FreeBodyLaws:
+    """Hidden forces on a free body that no plain field of a simulator has.
+
+    tether            F = -K (x - x_0) (1 - L / |x - x_0|) beyond the slack length L        a cable to the ground
+    body vibration    torque A sin(2 pi f t + phi) about the body's x                      a bent propeller
+    """
+
+    def __init__(self, hidden: Hidden):
+        named = {placed(name)[0]: values for name, values in hidden.items()}
+        self.tether, self.vibration = named.get("tether"), named.get("body_vibration")
+
+    def wrench(self, q: np.ndarray, t: float) -> np.ndarray:
+        """(6,) N in the world, N m in the body."""
+        out = np.zeros(6)
+        if self.tether:
+            apart = q[:3] - [self.tether[n] for n in ("x", "y", "z")]
+            far = float(np.linalg.norm(apart))
+            out[:3] = -self.tether["stiffness"] * apart * max(0.0, 1.0 - self.tether["slack"] / max(far, 1e-9))
+        if self.vibration:
+            p = self.vibration
+            out[3] = p["torque"] * np.sin(2.0 * np.pi * p["frequency"] * t + p["phase"])
+        return out

@@ -2,6 +2,7 @@
 
     pendulum   one hinge                two_link   two hinges in one plane
     arm        six hinges               legs       four legs of three hinges on a fixed torso
+    quadrotor  a free body with four rotors on sites
 
 Lengths, masses, stated friction and the kind of actuator are drawn. All units SI.
 """
@@ -16,6 +17,7 @@ from fishmj.base.calib import calib_folder, read_toml
 GRAVITY = 9.81
 STEP = 0.002  # s, of the model in question
 ANGLE = 3.1  # rad, largest commanded angle
+LARGEST_THRUST = 100.0  # N, largest command of a rotor
 THIN = 0.15  # moment of inertia about a link's own axis, over that across
 
 
@@ -49,8 +51,25 @@ class Limb(NamedTuple):
     swing: tuple[float, float] = (0.0, 0.5)
 
 
+class Rotor(NamedTuple):
+    """A thruster of a free body, along its z. place: in the body. turn: torque about z over thrust, m.
+
+    gain: thrust over command. limit, offset: N. lag: s, time constant of the thrust.
+    """
+
+    place: Vector
+    turn: float
+    gain: float = 1.0
+    limit: float = 0.0
+    offset: float = 0.0
+    lag: float = 0.0
+
+
 class RobotPlan(NamedTuple):
-    """A robot. torques: commands are torques, not angles. gravity: (3,) m/s2. density, wind: of the medium, kg/m3 and m/s."""
+    """A robot. torques: commands are torques, not angles. gravity: (3,) m/s2. density, wind: of the medium, kg/m3 and m/s.
+
+    rotors: with them the one body has no hinge and floats; commands are thrusts, N.
+    """
 
     family: str
     limbs: tuple[Limb, ...]
@@ -58,6 +77,7 @@ class RobotPlan(NamedTuple):
     gravity: Vector = (0.0, 0.0, -GRAVITY)
     density: float = 0.0
     wind: Vector = (0.0, 0.0, 0.0)
+    rotors: tuple[Rotor, ...] = ()
 
     def changed(self, number: int, **fields) -> "RobotPlan":
         """The robot with fields of one limb replaced."""
@@ -65,9 +85,19 @@ class RobotPlan(NamedTuple):
         limbs[number] = limbs[number]._replace(**fields)
         return self._replace(limbs=tuple(limbs))
 
+    def with_rotor(self, number: int, **fields) -> "RobotPlan":
+        """The robot with fields of one rotor replaced."""
+        rotors = list(self.rotors)
+        rotors[number] = rotors[number]._replace(**fields)
+        return self._replace(rotors=tuple(rotors))
+
     def column(self, field: str) -> np.ndarray:
         """(J, ..) one field of all limbs."""
         return np.array([getattr(limb, field) for limb in self.limbs], float)
+
+    def of_rotors(self, field: str) -> np.ndarray:
+        """(A, ..) one field of all rotors."""
+        return np.array([getattr(rotor, field) for rotor in self.rotors], float)
 
 
 def joint(number: int) -> str:
@@ -80,6 +110,11 @@ def body(number: int) -> str:
     return f"b{number + 1}"
 
 
+def rotor(number: int) -> str:
+    """Name of a rotor's actuator and site."""
+    return f"r{number + 1}"
+
+
 def mjcf(plan: RobotPlan, step: float = STEP, integrator: str = "implicitfast", motors: bool = False) -> str:
     """MJCF of a robot. motors: an ideal motor at each joint in place of the robot's own actuators."""
     text = lambda values: " ".join(f"{x:.9g}" for x in np.atleast_1d(values))
@@ -87,11 +122,14 @@ def mjcf(plan: RobotPlan, step: float = STEP, integrator: str = "implicitfast", 
     def written(number: int, indent: str) -> str:
         b = plan.limbs[number]
         damping = f'damping="{text((b.damping, b.drag, 0.0))}" frictionloss="{b.friction:.9g}" armature="{b.armature:.9g}"'
-        hinge = f'name="{joint(number)}" type="hinge" axis="{text(b.axis)}"'
+        hinge = f'<joint name="{joint(number)}" type="hinge" axis="{text(b.axis)}" {damping} stiffness="{b.stiffness:.9g}"/>'
+        if plan.rotors:
+            sites = (f'<site name="{rotor(k)}" pos="{text(r.place)}"/>' for k, r in enumerate(plan.rotors))
+            hinge = "\n".join(['<freejoint name="base"/>', *(f"{indent}  {site}" for site in sites)])
         inner = "".join(written(k, indent + "  ") for k, child in enumerate(plan.limbs) if child.parent == number)
         return (
             f'{indent}<body name="{body(number)}" pos="{text(b.place)}">\n'
-            f'{indent}  <joint {hinge} {damping} stiffness="{b.stiffness:.9g}"/>\n'
+            f"{indent}  {hinge}\n"
             f'{indent}  <inertial pos="{text(b.centre)}" mass="{b.mass:.9g}" diaginertia="{text(b.inertia)}"/>\n'
             f"{inner}{indent}</body>\n"
         )
@@ -110,8 +148,14 @@ def mjcf(plan: RobotPlan, step: float = STEP, integrator: str = "implicitfast", 
             return f'    <motor {about} gear="{b.gear:.9g}" {bounds}/>\n'
         return f'    <position {about} kp="{b.kp:.9g}" kv="{b.kv:.9g}" {bounds}/>\n'
 
+    def thruster(number: int, r: Rotor) -> str:
+        about = f'name="{rotor(number)}" site="{rotor(number)}" gear="0 0 1 0 0 {r.turn:.9g}"'
+        force = f'gaintype="fixed" gainprm="{r.gain:.9g}" biastype="affine" biasprm="{r.offset:.9g} 0 0"'
+        return f'    <general {about} {force} ctrlrange="0 {LARGEST_THRUST:g}" forcerange="0 {r.limit:.9g}"/>\n'
+
     roots = "".join(written(k, "    ") for k, b in enumerate(plan.limbs) if b.parent < 0)
-    motor = "".join(actuator(k, b) for k, b in enumerate(plan.limbs))
+    motor = "".join(actuator(k, b) for k, b in enumerate(plan.limbs) if not plan.rotors)
+    motor += "".join(thruster(k, r) for k, r in enumerate(plan.rotors))
     medium = f' density="{plan.density:.9g}" wind="{text(plan.wind)}"' if plan.density else ""
     options = f'timestep="{step:g}" integrator="{integrator}" gravity="{text(plan.gravity)}"{medium}'
     return (
@@ -181,10 +225,25 @@ FAMILIES: dict[str, Callable[[np.random.Generator], list[Limb]]] = {
     "arm": _arm,
     "legs": _legs,
 }
+QUADROTOR = "quadrotor"
+
+
+def _quadrotor(rng) -> RobotPlan:
+    """A frame of 0.2 to 0.5 m from rotor to rotor, its centre a little below their plane; they turn in pairs."""
+    arm, mass = float(rng.uniform(0.1, 0.25)), float(rng.uniform(0.5, 1.8))
+    across = 0.25 * mass * arm**2 * rng.uniform(0.7, 1.3)
+    inertia = (float(across * rng.uniform(0.9, 1.1)), float(across), float(1.7 * across * rng.uniform(0.9, 1.1)))
+    frame = Limb(-1, (0.0, 0.0, 0.0), Z, (0.0, 0.0, float(-rng.uniform(0.0, 0.03))), mass, inertia)
+    half, turn, most = arm / np.sqrt(2.0), float(rng.uniform(0.01, 0.02)), float(mass * GRAVITY * rng.uniform(0.5, 0.8))
+    places = [(half, -half, 1.0), (-half, half, 1.0), (half, half, -1.0), (-half, -half, -1.0)]
+    rotors = tuple(Rotor((float(x), float(y), 0.0), side * turn, limit=most) for x, y, side in places)
+    return RobotPlan(QUADROTOR, (frame,), True, rotors=rotors)
 
 
 def draw_plan(family: str, rng: np.random.Generator) -> RobotPlan:
     """A robot of a family; half of them take torques, half angles, half state friction and damping."""
+    if family == QUADROTOR:
+        return _quadrotor(rng)
     limbs = FAMILIES[family](rng)
     torques, stated = bool(rng.integers(2)), bool(rng.integers(2))
     if len(limbs) <= 2 and rng.integers(2):
@@ -277,4 +336,5 @@ def within_tolerance(plan: RobotPlan, rng: np.random.Generator) -> RobotPlan:
                 damping=b.damping * damping,
             )
         )
-    return plan._replace(limbs=tuple(limbs))
+    gains = [rotor._replace(gain=rotor.gain * float(np.exp(sigma["gain"] * rng.standard_normal()))) for rotor in plan.rotors]
+    return plan._replace(limbs=tuple(limbs), rotors=tuple(gains))

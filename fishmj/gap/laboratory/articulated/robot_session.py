@@ -14,11 +14,20 @@ import numpy as np
 
 from fishmj.gap.laboratory.articulated import hidden_faults
 from fishmj.gap.laboratory.articulated.bam_servo import LAWS, BamServo, servos
+from fishmj.gap.laboratory.articulated.flown_faults import FLOWN, FLOWN_OUTSIDE, draw_flown
+from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco, FlownPinocchio
+from fishmj.gap.laboratory.articulated.flown_stand import (
+    FlownStand,
+    draw_flown_stand,
+    flown_session,
+    flown_visibility,
+    usual_flight,
+)
 from fishmj.gap.laboratory.articulated.hidden_faults import FAULTS, OUTSIDE, Hidden, UsualMotion, draw_hidden, placed
 from fishmj.gap.laboratory.articulated.mujoco_plant import BamPlant, MujocoPlant
 from fishmj.gap.laboratory.articulated.pinocchio_plant import PinocchioPlant
-from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, draw_plan, joint
-from fishmj.gap.laboratory.articulated.robot_stand import LogRun, Stand, draw_stand, session, usual_motion, visibility
+from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, QUADROTOR, RobotPlan, draw_plan, joint
+from fishmj.gap.laboratory.articulated.robot_stand import Stand, draw_stand, session, usual_motion, visibility
 
 MUJOCO, PINOCCHIO, BAM = "mujoco", "pinocchio", "bam"
 NAMES = (MUJOCO, PINOCCHIO, BAM)
@@ -39,14 +48,16 @@ class RobotSession(NamedTuple):
 
     plan: RobotPlan
     hidden: dict[str, dict[str, float]]
-    stand: Stand
-    logs: list[LogRun]
+    stand: Stand | FlownStand
+    logs: list[Any]  # LogRun or FlownLog
     visible: dict[str, float]
     servo: str  # of BAM, with its law; "" for the others
 
 
-def able(generator: str, outside: bool = False) -> tuple[str, ...]:
-    """Effects, or faults outside every catalogue, that a generator can hide."""
+def able(generator: str, outside: bool = False, family: str = "") -> tuple[str, ...]:
+    """Effects, or faults outside every catalogue, that a generator can hide in a robot of a family."""
+    if family == QUADROTOR:
+        return FLOWN_OUTSIDE if outside else tuple(name for name in FLOWN if name not in FLOWN_OUTSIDE)
     if generator == BAM:
         return OUTSIDE_OF_SERVOS if outside else OF_SERVOS
     known = tuple(name for name in FAULTS if name not in OUTSIDE)
@@ -63,6 +74,11 @@ def draw_session(generator: str, family: str, names: Sequence[str], seed: int, l
     """
     for attempt in range(PLANS):
         rng = np.random.default_rng([seed, 41, attempt])
+        if family == QUADROTOR:
+            try:
+                return _flown(generator, draw_plan(family, rng), names, seed + attempt, rng, logs, seconds)
+            except FloatingPointError:
+                continue
         if generator == BAM:
             made = _servo_robot(family, names, rng)
         else:
@@ -94,6 +110,25 @@ def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, lo
         visible |= dict.fromkeys(one, seen)
     build = builder(generator, law, hidden)
     return RobotSession(plan, hidden, stand, session(build, plan, hidden, stand, usual, seed), visible, servo)
+
+
+def _flown(generator: str, plan: RobotPlan, names: Sequence[str], seed: int, rng, logs: int, seconds: float) -> RobotSession:
+    stand = draw_flown_stand(rng, logs, seconds)
+    usual = usual_flight(plan, seed, stand)
+    build = FlownPinocchio if generator == PINOCCHIO else FlownMujoco
+    few = stand._replace(logs=min(2, logs))
+    hidden: dict[str, dict[str, float]] = {}
+    visible: dict[str, float] = {}
+    for name in names:
+        for attempt in range(DRAWS):
+            one = draw_flown(name, rng, plan, usual, GROWTH**attempt)
+            flown = flown_session(build, plan, one, few, usual, seed)
+            seen = flown_visibility(build, plan, one, few, usual, seed, flown)
+            if seen > SEEN:
+                break
+        hidden |= one
+        visible |= dict.fromkeys(one, seen)
+    return RobotSession(plan, hidden, stand, flown_session(build, plan, hidden, stand, usual, seed), visible, "")
 
 
 def visibility_of(generator: str, plan: RobotPlan, one: Hidden, law: dict, stand: Stand, usual: UsualMotion, seed: int) -> float:

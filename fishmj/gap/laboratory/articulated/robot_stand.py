@@ -248,10 +248,10 @@ def _counted(angles: np.ndarray, stand: Stand) -> np.ndarray:
     return count * np.round(angles / count)
 
 
-def pushes(usual: UsualMotion, stand: Stand, rng: np.random.Generator) -> np.ndarray:
+def pushes(usual: UsualMotion, seconds: float, rng: np.random.Generator) -> np.ndarray:
     """(n, J) torques that a healthy robot may have, every spacing."""
     sigma = tolerances()
-    n = int(1.1 * stand.seconds / sigma["spacing"]) + 2
+    n = int(1.1 * seconds / sigma["spacing"]) + 2
     return sigma["torque"] * usual.torque * rng.standard_normal((n, len(usual.torque)))
 
 
@@ -279,7 +279,7 @@ def session(build: Plant, described: RobotPlan, hidden: Hidden, stand: Stand, us
     out = []
     for i, reference in enumerate(references(described, seed, stand.logs)):
         rng = np.random.default_rng([seed, 33, i])
-        out.append(run(plant, true, described, reference, stand, hidden, pushes(usual, stand, rng), rng))
+        out.append(run(plant, true, described, reference, stand, hidden, pushes(usual, stand.seconds, rng), rng))
     return out
 
 
@@ -292,12 +292,12 @@ def visibility(
     same = within_tolerance(described, np.random.default_rng([seed, 32]))
     squares, scatter, count = 0.0, 0.0, 0
     for i, log in enumerate(logs[:2]):
-        first = pushes(usual, stand, np.random.default_rng([seed, 33, i]))
+        first = pushes(usual, stand.seconds, np.random.default_rng([seed, 33, i]))
         healthy = replay(build(same, {}), log, stand, first)
         others = []
         for n in range(HEALTHY):
             rng = np.random.default_rng([seed, 34, n, i])
-            others.append(replay(build(within_tolerance(described, rng), {}), log, stand, pushes(usual, stand, rng)))
+            others.append(replay(build(within_tolerance(described, rng), {}), log, stand, pushes(usual, stand.seconds, rng)))
         squares = squares + np.sum((log.clean - healthy) ** 2, 0)
         scatter = scatter + np.sum(np.var(np.stack([healthy, *others]), 0, ddof=1), 0)
         count += len(log.t)

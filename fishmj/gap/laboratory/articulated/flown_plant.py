@@ -1,0 +1,122 @@
+"""A free body with rotors: MuJoCo with edited attributes, and Pinocchio's free flyer.
+
+    plant.start(q, v, t); plant.step(u, push)  u (A,) commanded thrusts; push (6,), of no cause: N in the world, N m in the body
+    q    (7,) place in the world m, quaternion w x y z         v    (6,) m/s in the world, rad/s in the body: as MuJoCo's
+
+A rotor's thrust follows its command as a first-order lag, which goes on through `start`: commands do not begin anew there.
+"""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fishmj.gap.laboratory.articulated.hidden_faults import Hidden
+from fishmj.gap.laboratory.articulated.plant_laws import FreeBodyLaws
+from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
+
+
+class RotorLag:
+    """Commands behind a first-order lag; `at(u)` is asked once a step of h s. It begins settled at the first command."""
+
+    def __init__(self, plan: RobotPlan, h: float):
+        lag = plan.of_rotors("lag")
+        self.kept = np.where(lag > 0.0, np.exp(-h / np.where(lag > 0.0, lag, 1.0)), 0.0)
+        self.now: np.ndarray | None = None
+
+    def at(self, u: np.ndarray) -> np.ndarray:
+        """(A,) lagged commands."""
+        self.now = u if self.now is None else u + (self.now - u) * self.kept
+        return self.now
+
+
+class FlownMujoco:
+    """MuJoCo's own free joint, sites and medium at another step and integrator than the model in question."""
+
+    h = 0.001
+
+    def __init__(self, plan: RobotPlan, hidden: Hidden):
+        self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit"))
+        self.d = mujoco.MjData(self.m)
+        self.lag, self.laws = RotorLag(plan, self.h), FreeBodyLaws(hidden)
+
+    def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
+        """Sets pose, rates and time."""
+        mujoco.mj_resetData(self.m, self.d)
+        self.d.qpos[:], self.d.qvel[:], self.d.time = q, v, t
+
+    @property
+    def q(self) -> np.ndarray:
+        """(7,) pose."""
+        return self.d.qpos
+
+    @property
+    def v(self) -> np.ndarray:
+        """(6,) rates."""
+        return self.d.qvel
+
+    def step(self, u: np.ndarray, push: np.ndarray) -> None:
+        """One step."""
+        self.d.ctrl[:] = self.lag.at(u)
+        self.d.qfrc_applied[:] = push + self.laws.wrench(self.d.qpos, self.d.time)
+        mujoco.mj_step(self.m, self.d)
+
+
+def box_drag(plan: RobotPlan, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Quadratic drag [N] and its moment [N m] on the box of a body's inertia, by its speed (3,) in the medium and its rate (3,).
+
+    F_i = -rho/2 b_j b_k |v_i| v_i,  M_i = -rho/64 b_i (b_j^4 + b_k^4) |w_i| w_i, about the centre of mass     (MuJoCo's manual)
+    """
+    b = plan.limbs[0]
+    own = np.array(b.inertia)
+    side = np.sqrt(6.0 * np.maximum(own.sum() - 2.0 * own, 1e-12) / b.mass)
+    v = v + np.cross(w, b.centre)
+    one, other = np.roll(side, -1), np.roll(side, -2)
+    force = -0.5 * plan.density * one * other * np.abs(v) * v
+    return force, -plan.density / 64.0 * side * (one**4 + other**4) * np.abs(w) * w
+
+
+class FlownPinocchio:
+    """The interface of `FlownMujoco`: Pinocchio's articulated body algorithm, semi-implicit steps. Raises without Pinocchio."""
+
+    h = 0.0005
+
+    def __init__(self, plan: RobotPlan, hidden: Hidden):
+        import pinocchio as pin
+
+        self.pin, self.plan = pin, plan
+        self.m: Any = pin.Model()
+        self.m.gravity.linear = np.array(plan.gravity)
+        b = plan.limbs[0]
+        number = self.m.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+        self.m.appendBodyToJoint(number, pin.Inertia(b.mass, np.array(b.centre), np.diag(b.inertia)), pin.SE3.Identity())
+        self.d = self.m.createData()
+        self.lag, self.laws = RotorLag(plan, self.h), FreeBodyLaws(hidden)
+        self.gain, self.limit, self.offset = (plan.of_rotors(field) for field in ("gain", "limit", "offset"))
+        place, turn = plan.of_rotors("place"), plan.of_rotors("turn")
+        up = np.array([0.0, 0.0, 1.0])
+        self.lever = np.stack([np.cross(p, up) + c * up for p, c in zip(place, turn, strict=True)], 1)  # N m over N
+        self.start(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(6))
+
+    def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
+        """Sets pose, rates and time."""
+        self.q, self.v, self.t = np.array(q, float), np.array(v, float), t
+
+    def step(self, u: np.ndarray, push: np.ndarray) -> None:
+        """One step."""
+        h, turn = self.h, Rotation.from_quat(self.q[3:], scalar_first=True)
+        thrust = np.clip(self.gain * self.lag.at(u) + self.offset, 0.0, self.limit)
+        given = push + self.laws.wrench(self.q, self.t)
+        force = turn.inv().apply(given[:3]) + [0.0, 0.0, thrust.sum()]
+        torque = given[3:] + self.lever @ thrust
+        if self.plan.density:
+            drag = box_drag(self.plan, turn.inv().apply(self.v[:3] - self.plan.wind), self.v[3:])
+            force, torque = force + drag[0], torque + np.cross(self.plan.limbs[0].centre, drag[0]) + drag[1]
+        q = np.concatenate([self.q[:3], np.roll(self.q[3:], -1)])
+        v = np.concatenate([turn.inv().apply(self.v[:3]), self.v[3:]])  # of the body, in the body
+        v += h * self.pin.aba(self.m, self.d, q, v, np.concatenate([force, torque]))
+        after = self.pin.integrate(self.m, q, h * v)
+        self.q = np.concatenate([after[:3], np.roll(after[3:], 1)])
+        self.v = np.concatenate([Rotation.from_quat(after[3:]).apply(v[:3]), v[3:]])
+        self.t += h

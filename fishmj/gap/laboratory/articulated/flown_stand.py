@@ -1,0 +1,229 @@
+"""A session with a quadrotor: reference flights, a controller that keeps it in the air, cameras that see its pose, and logs.
+
+    reference   sums of sines of place and yaw, and wiggles of roll and pitch, so that its inertia shows
+    control     place -> acceleration -> thrust and attitude -> thrusts of the rotors, by the described robot; rates from a gyro
+    commands    late, held, lost or rounded on their way, as of an arm (robot_stand.py)
+    pose        place and quaternion with noise, late; one stamp for commands and pose
+
+Forces and torques of no cause are as large as data/calib/robot.toml grants a healthy robot, every 60 ms anew.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fishmj.gap.laboratory.articulated.flown_faults import with_faults
+from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco
+from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion
+from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, tolerances, within_tolerance
+from fishmj.gap.laboratory.articulated.robot_stand import HEALTHY, SEGMENT, SLOW, Channel, pushes, timing_of
+
+REACH, TONES = 0.7, (0.12, 0.6)  # m; Hz of places
+WIGGLE, QUICK = 0.12, (0.8, 2.2)  # rad; Hz of roll and pitch
+SLOW_LOOP, FAST_LOOP = 1.6, 7.0  # rad/s, of place and of attitude
+LEAK, MOST = 0.5, 6.0  # 1/s of the integral of the place's error; m/s2
+AWAY = 20.0  # m: it has flown away
+GYRO = 0.01  # rad/s
+UPRIGHT = np.array([0.0, 0.0, 1.0])
+
+
+class FlownStand(NamedTuple):
+    """A controller and its cameras. tick: s. place: m, turn: rad, noise of the pose."""
+
+    tick: float
+    place: float
+    turn: float
+    seconds: float
+    logs: int
+
+
+class FlownLog(NamedTuple):
+    """One log: stamps (K,) s, commands (K, A) N, readings (K, 7); the same without noise, and true states (K, 13)."""
+
+    t: np.ndarray
+    commands: np.ndarray
+    readings: np.ndarray
+    clean: np.ndarray
+    states: np.ndarray
+    wrench: np.ndarray  # (K, 6) of the rotors' commands: N in the world, N m in the body
+
+
+def draw_flown_stand(rng: np.random.Generator, logs: int, seconds: float) -> FlownStand:
+    """Cameras at 100 to 250 Hz."""
+    return FlownStand(
+        float(rng.choice((0.004, 0.005, 0.01))), float(rng.uniform(2e-4, 8e-4)), float(rng.uniform(1e-3, 3e-3)), seconds, logs
+    )
+
+
+class FlightReference:
+    """Place, yaw, roll and pitch of one log as functions of time: sums of sines that begin at rest."""
+
+    def __init__(self, rng: np.random.Generator, reach: float):
+        self.pulse = 2.0 * np.pi * np.concatenate([rng.uniform(*TONES, (4, 3)), rng.uniform(*QUICK, (2, 3))])
+        self.size = rng.dirichlet(np.ones(3), 6) * reach * np.array([REACH, REACH, REACH, 0.8, WIGGLE, WIGGLE])[:, None]
+        self.phase = rng.uniform(0.0, 2.0 * np.pi, (6, 3))
+
+    def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """(6,) x, y, z, yaw, roll, pitch and their rates."""
+        arc, ramp = self.pulse * t + self.phase, min(t / 1.0, 1.0)
+        value = np.sum(self.size * (np.sin(arc) - np.sin(self.phase)), 1)
+        slope = np.sum(self.size * self.pulse * np.cos(arc), 1)
+        return ramp * value, ramp * slope + (value if ramp < 1.0 else 0.0)
+
+
+class FlightController:
+    """The controller of a log. It knows the described robot."""
+
+    def __init__(self, plan: RobotPlan, reference: FlightReference, tick: float):
+        self.reference, self.tick, self.body = reference, tick, plan.limbs[0]
+        place, turn = plan.of_rotors("place"), plan.of_rotors("turn")
+        lever = np.stack([np.cross(p, UPRIGHT) + c * UPRIGHT for p, c in zip(place, turn, strict=True)], 1)
+        self.mix = np.concatenate([np.ones((1, len(place))), lever])  # thrust and torque of thrusts
+        self.limit = plan.of_rotors("limit")
+        self.before: np.ndarray | None = None
+        self.rate, self.missing = np.zeros(3), np.zeros(3)
+
+    def command(self, t: float, pose: np.ndarray, gyro: np.ndarray) -> np.ndarray:
+        """(A,) thrusts at a tick, from the pose (7,) that is seen and the gyro (3,)."""
+        told, slope = self.reference.at(t)
+        if self.before is not None:
+            self.rate += 0.25 * ((pose[:3] - self.before) / self.tick - self.rate)
+        self.before = pose[:3]
+        error = told[:3] - pose[:3]
+        self.missing += LEAK * error * self.tick
+        asked = SLOW_LOOP**2 * (error + self.missing) + 1.8 * SLOW_LOOP * (slope[:3] - self.rate)
+        force = self.body.mass * (np.clip(asked, -MOST, MOST) + GRAVITY * UPRIGHT)
+        turn = Rotation.from_quat(pose[3:], scalar_first=True)
+        up = force / np.linalg.norm(force)
+        ahead = np.array([np.cos(told[3]), np.sin(told[3]), 0.0])
+        left = np.cross(up, ahead)
+        left /= np.linalg.norm(left)
+        wanted = Rotation.from_matrix(np.stack([np.cross(left, up), left, up], 1)) * Rotation.from_rotvec([*told[4:], 0.0])
+        off = (turn.inv() * wanted).as_rotvec()
+        spin = FAST_LOOP**2 * off - 1.7 * FAST_LOOP * gyro
+        torque = np.array(self.body.inertia) * spin + np.cross(self.body.centre, [0.0, 0.0, self.body.mass * GRAVITY])
+        thrust = float(force @ turn.apply(UPRIGHT))
+        return np.clip(np.linalg.solve(self.mix, [thrust, *torque]), 0.0, self.limit)
+
+
+def fly(plant: Any, described: RobotPlan, reference: FlightReference, stand: FlownStand, hidden: Hidden, push, rng) -> FlownLog:
+    """One log. plant: the true robot. push: wrenches (n, 6) of no cause, every spacing. Raises FloatingPointError."""
+    h, every = plant.h, round(stand.tick / plant.h)
+    timing = timing_of(hidden, len(described.rotors))
+    kept = round(stand.seconds / stand.tick)
+    ticks = kept + int(SLOW * kept) + 2
+    pilot, channel = FlightController(described, reference, stand.tick), Channel(timing, rng)
+    plant.start(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(6))
+    grid = h * np.arange(ticks * every + 1)
+    causeless = _between(push, grid)
+    states = np.zeros((len(grid), 13))
+    states[0, 3] = 1.0
+    noise = rng.standard_normal((ticks, 6)) * np.repeat([stand.place, stand.turn], 3)
+    sent, wrench = [], []
+    for k in range(ticks):
+        place = max(0, k * every - round(timing.seen_late / h))
+        gyro = states[k * every, 10:] + GYRO * rng.standard_normal(3)
+        u = pilot.command(k * stand.tick, _seen(states[place, :7], noise[k]), gyro)
+        sent.append(u)
+        force = pilot.mix @ u
+        up = Rotation.from_quat(states[k * every, 3:7], scalar_first=True).apply(UPRIGHT)
+        wrench.append([*(force[0] * up), *force[1:]])
+        channel.send(k * stand.tick, u)
+        for n in range(k * every, (k + 1) * every):
+            plant.step(channel.delivered(n * h), causeless[n])
+            states[n + 1] = *plant.q, *plant.v
+        if not np.all(np.abs(states[n + 1]) < AWAY):
+            raise FloatingPointError("the robot flew away")
+    stamps = stand.tick * np.arange(kept)
+    when = np.maximum(stamps / timing.rate - timing.seen_late, 0.0)
+    told = np.stack([np.interp(when, grid, column) for column in states.T], 1)
+    told[:, 3:7] /= np.linalg.norm(told[:, 3:7], axis=1, keepdims=True)
+    readings = _seen(told[:, :7], noise[:kept])
+    return FlownLog(stamps, np.array(sent[:kept]), readings, told[:, :7], told, np.array(wrench[:kept]))
+
+
+def _between(push: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    knots = tolerances()["spacing"] * np.arange(len(push))
+    return np.stack([np.interp(grid, knots, column) for column in push.T], 1)
+
+
+def _seen(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Pose (.., 7) with noise (.., 6) of place and turn."""
+    turn = Rotation.from_quat(pose[..., 3:], scalar_first=True) * Rotation.from_rotvec(noise[..., 3:])
+    return np.concatenate([pose[..., :3] + noise[..., :3], turn.as_quat(scalar_first=True)], -1)
+
+
+def replay(plant: Any, log: FlownLog, stand: FlownStand, push: np.ndarray) -> np.ndarray:
+    """(K, 7) poses under the logged commands, each segment from the logged state."""
+    every, length = round(stand.tick / plant.h), round(SEGMENT / stand.tick)
+    causeless = _between(push, plant.h * np.arange(len(log.t) * every))
+    out = np.empty_like(log.clean)
+    for k in range(len(log.t)):
+        if k % length == 0:
+            plant.start(log.states[k, :7], log.states[k, 7:], log.t[k])
+        out[k] = plant.q
+        for n in range(k * every, (k + 1) * every):
+            plant.step(log.commands[k], causeless[n])
+    return out
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(K, 6) difference of poses: m, and rotation vectors, rad."""
+    a, b = (Rotation.from_quat(pose[:, 3:], scalar_first=True) for pose in (one, other))
+    return np.concatenate([one[:, :3] - other[:, :3], (b.inv() * a).as_rotvec()], 1)
+
+
+Build = Callable[[RobotPlan, Hidden], Any]
+
+
+def usual_flight(described: RobotPlan, seed: int, stand: FlownStand) -> UsualMotion:
+    """Wrenches, rates and commands of a session's flights with the described robot; 90 % are smaller."""
+    nothing = np.zeros((int(1.1 * stand.seconds / tolerances()["spacing"]) + 2, 6))
+    logs = [
+        fly(FlownMujoco(described, {}), described, reference, stand, {}, nothing, np.random.default_rng([seed, 36]))
+        for reference in references(seed, min(2, stand.logs))
+    ]
+    size = lambda parts: np.percentile(np.abs(np.concatenate(parts)), 90, axis=0)
+    return UsualMotion(size([x.wrench for x in logs]), size([x.states[:, 7:] for x in logs]), size([x.commands for x in logs]))
+
+
+def references(seed: int, logs: int) -> list[FlightReference]:
+    """Reference of each log of a session."""
+    reaches = np.linspace(0.6, 1.1, logs)
+    return [FlightReference(np.random.default_rng([seed, 31, i]), reach) for i, reach in enumerate(reaches)]
+
+
+def flown_session(
+    build: Build, described: RobotPlan, hidden: Hidden, stand: FlownStand, usual: UsualMotion, seed: int
+) -> list[FlownLog]:
+    """Logs of a robot drawn within the tolerances of `described`, with `hidden` in it. Raises FloatingPointError."""
+    true = with_faults(within_tolerance(described, np.random.default_rng([seed, 32])), hidden)
+    out = []
+    for i, reference in enumerate(references(seed, stand.logs)):
+        rng = np.random.default_rng([seed, 33, i])
+        push = pushes(usual, stand.seconds, rng)
+        out.append(fly(build(true, hidden), described, reference, stand, hidden, push, rng))
+    return out
+
+
+def flown_visibility(
+    build: Build, described: RobotPlan, hidden: Hidden, stand: FlownStand, usual: UsualMotion, seed: int, logs: list[FlownLog]
+) -> float:
+    """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest."""
+    same = within_tolerance(described, np.random.default_rng([seed, 32]))
+    squares, scatter, count = np.zeros(6), np.zeros(6), 0
+    for i, log in enumerate(logs[:2]):
+        first = pushes(usual, stand.seconds, np.random.default_rng([seed, 33, i]))
+        healthy = replay(build(same, {}), log, stand, first)
+        others = [np.zeros((len(log.t), 6))]
+        for n in range(HEALTHY):
+            rng = np.random.default_rng([seed, 34, n, i])
+            other = replay(build(within_tolerance(described, rng), {}), log, stand, pushes(usual, stand.seconds, rng))
+            others.append(apart(other, healthy))
+        squares += np.sum(apart(log.clean, healthy) ** 2, 0)
+        scatter += np.sum(np.var(np.stack(others), 0, ddof=1), 0)
+        count += len(log.t)
+    noise = np.repeat([stand.place, stand.turn], 3) ** 2
+    return float(np.max(squares / count / (scatter / count + noise)))
