@@ -18,7 +18,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-
 from scipy.signal import savgol_filter
 
 from fishmj.base import console

@@ -26,7 +26,7 @@ def law(joint, memory, half_gap, rotor):
     """
     if joint.time == 0.0:
         memory[0] = copysign(half_gap, joint.drive - joint.damping * joint.rate)
-        memory[1] = memory[2] = joint.rate
+        memory[1], memory[2], memory[3] = joint.rate, joint.rate, 0.0
     gained, memory[2] = joint.rate - memory[2], joint.rate
     late, memory[3] = memory[3], 0.0
     floats = abs(memory[0]) < half_gap

@@ -152,8 +152,9 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undo
                 f"its encoder has another zero; state zero for it {table}",
                 _turned(records, zero),
             )
-    hinges = np.array([robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE for j in robot.joints])
-    for what, unit, factor in (("degrees", "deg", np.pi / 180), ("radians", "rad", 180 / np.pi)):
+    angles = [robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE for j in robot.joints]
+    hinges = np.array([*([False] * 6 if robot.base else []), *angles])
+    for what, unit, factor in (("degrees", "deg", np.pi / 180), ("radians", "rad", 180 / np.pi)) if any(angles) else ():
         turns = [_of_angles(r, np.where(hinges, factor, 1.0)) for r in records]
         yield f"reading positions in {what}", f'state unit = "{unit}", or the scale of a gear, for the joints {table}', turns
         if robot.model.actuator_biasprm[:, 1].any():

@@ -271,11 +271,24 @@ def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
     whole = found.near.subset()
     best = on_records(whole, found.best)
     rivals = [c for step in found.steps if step.accepted for c in step.ranked]
-    return {name: support_of(whole, best, name, rivals, gates) for name in best.names}
+    return {name: support_of(whole, best, name, rivals, gates, near_in_likelihood(found, name)) for name in best.names}
 
 
-def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: Gates) -> Support:
-    """Support of one effect against the finalists of all rounds.
+def near_in_likelihood(found: Selection, name: str) -> set[str]:
+    """Effects of a robot in MJCF whose likelihood came so close to that of `name`, in the round that added it, as chance may.
+
+    |z|^2 in the covariance of the found effect is no judge of another one that moves the constants' tangents elsewhere.
+    """
+    if not hasattr(found.near.model, "torque_tolerance"):
+        return set()
+    rounds = [step.ranked for step in found.steps if step.accepted and step.ranked[0].names[-1] == name]
+    return {c.names[-1] for ranked in rounds for c in ranked[1:] if c.cost - ranked[0].cost < thresholds().torques.lead}
+
+
+def support_of(
+    whole: EffectFitter, best: Candidate, name: str, ranked, gates: Gates, near: set[str] | frozenset[str] = frozenset()
+) -> Support:
+    """Support of one effect against the finalists of all rounds. near: names of rivals in any case.
 
     A set with a parameter on a bound is no rival: it is a limiting form that mimics the best.
     """
@@ -289,7 +302,8 @@ def support_of(whole: EffectFitter, best: Candidate, name: str, ranked, gates: G
     rivals = []
     for c, p in zip(free, share[1:], strict=True):
         behind = (c.cost - ours.cost) / gain
-        if behind < min(gates.margin, gates.rival_margin_abs / gain) or p > 1 - gates.p_best:
+        close = behind < min(gates.margin, gates.rival_margin_abs / gain) or c.names[-1] in near
+        if close or p > 1 - gates.p_best:
             rivals.append(Rival(c.names[-1], float(p), float(behind)))
     return Support(gain, float(share[0]), tuple(rivals))
 

@@ -76,9 +76,9 @@ def passive(model, data):
             drive = (p[gain0] + p[gain1] * length + p[gain2] * velocity) * u
             drive += p[bias0] + p[bias1] * length + p[bias2] * velocity
             drive = min(max(p[gear] * min(max(drive, p[force_low]), p[force_high]), p[drive_low]), p[drive_high])
-        joint = JointMotion(q, w, drive, p[limit], p[inertia], p[armature], p[damping], time, p[step])
-        memory = kept[{memory} * j : {memory} * (j + 1)]
-{calls}
+        torque, most = act(p, q, w, drive, time, kept[{memory} * j : {memory} * (j + 1)])
+        force[int(p[dof])] += torque
+        friction[int(p[row])] += most
 """
 
 
@@ -189,25 +189,36 @@ def acting(wanted: bool) -> Iterator[None]:
         mujoco.set_mjcb_passive(before)
 
 
+def acting_text() -> str:
+    """Text of the laws as numba functions, and of `act`: what all laws of a joint add to its torque, and to its dry friction.
+
+    act(p, q, w, drive, time, memory): p: the joint's row of jnt_user; drive: torque of its actuator, N m.
+    """
+    at = FIXED.index
+    parts = [
+        f"from math import {', '.join(LAW_MATH)}\n\nfrom numba import njit\n\nfrom fishmj.effects.sites import JointMotion\n\n"
+    ]
+    given = ", ".join(f"p[{at(name)}]" for name in ("limit", "inertia", "armature", "damping"))
+    act = ["@njit(error_model='numpy')", "def act(p, q, w, drive, time, memory):"]
+    act += [f"    joint, added, friction = JointMotion(q, w, drive, {given}, time, p[{at('step')}]), 0.0, 0.0"]
+    for i, (name, (form, first)) in enumerate(laws().items()):
+        parts.append("@njit(error_model='numpy')\n" + text_of(name, form.law))
+        causes = " or ".join(f"p[{first + k}] != 0.0" for k, p in enumerate(form.parameters) if not p.shape)
+        values = ", ".join(f"p[{first + k}]" for k in range(len(form.parameters)))
+        act += [f"    if {causes}:", f"        torque, most = {name}(joint, memory[{MEMORY * i} : {MEMORY * (i + 1)}], {values})"]
+        act += ["        added, friction = added + torque, friction + most"]
+    return "\n\n".join(parts) + "\n\n" + "\n".join([*act, "    return added, friction"]) + "\n\n"
+
+
 @cache
 def _compiled() -> Any:
     """The C function."""
-    header = ["import numpy as np", f"from math import {', '.join(LAW_MATH)}", "from numba import carray, cfunc, njit, types"]
-    header += ["from numba.core import cgutils", "from numba.extending import intrinsic"]
-    header += ["from fishmj.effects.sites import JointMotion", "", ""]
-    functions, calls = [], []
-    for i, (name, (form, first)) in enumerate(laws().items()):
-        functions.append("@njit(error_model='numpy')\n" + text_of(name, form.law))
-        causes = " or ".join(f"p[{first + k}] != 0.0" for k, p in enumerate(form.parameters) if not p.shape)
-        given = ", ".join(f"p[{first + k}]" for k in range(len(form.parameters)))
-        part = f"memory[{MEMORY * i} : {MEMORY * (i + 1)}]"
-        calls += [f"        if {causes}:", f"            torque, most = {name}(joint, {part}, {given})"]
-        calls += ["            force[int(p[dof])] += torque", "            friction[int(p[row])] += most"]
+    header = ["import numpy as np", "from numba import carray, cfunc, types"]
+    header += ["from numba.core import cgutils", "from numba.extending import intrinsic", "", ""]
     places = {name: at // 8 for name, at in _offsets().items()}
     memory = MEMORY * len(laws())
-    names = ", ".join(FIXED)
-    body = CALLBACK.format(names=names, count=len(FIXED), width=width(), memory=memory, calls="\n".join(calls), **places)
-    return numba_build.compiled("\n".join(header) + "\n\n".join(functions) + body).passive
+    body = CALLBACK.format(names=", ".join(FIXED), count=len(FIXED), width=width(), memory=memory, **places)
+    return numba_build.compiled("\n".join(header) + acting_text() + body).passive
 
 
 @cache

@@ -28,6 +28,7 @@ from fishmj.effects.effect import Effect, Parameter
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription, thrust_of
+from fishmj.gap.models.robot_kernel import RobotKernel, can_roll
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
@@ -96,6 +97,7 @@ class RigidRobot(ParameterRow):
         self.dt = stride * robot.dt
         self._plain = copy.copy(robot.model)
         self._plain.opt.timestep = self.dt
+        self._kernel = RobotKernel(self._plain) if can_roll(self._plain) else None
         self._exact = RigidRobot(robot, sizes, (), stride=FINE) if stride >= 1 else None
         self._defects: dict[int, np.ndarray] = {}
         self.joints = len(robot.channels)
@@ -342,14 +344,12 @@ class RigidRobot(ParameterRow):
             some = slice(begin, min(begin + few, rows))
             sent = [self._commands(*one, steps, there) for there in present[some] for one in zip(records, marks, strict=True)]
             u = np.concatenate(sent)
-            spec = int(mujoco.mjtState.mjSTATE_CTRL)
+            force = None
             if pushed is not None:
                 force = np.zeros((len(u), steps, m.nv))
                 force[..., dofs] = np.repeat(pushed[some], segments, 0)
-                u, spec = np.concatenate([u, force], 2), spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-            batch = [one for one in models[some] for _ in range(segments)]
-            begins = np.ascontiguousarray(start[some].reshape(len(batch), -1))
-            state = self._rolled(batch, begins, u, spec, lawful)
+            begins = np.ascontiguousarray(start[some].reshape(len(u), -1))
+            state = self._rolled(models[some], begins, u, force, lawful)
             state = np.concatenate([begins[:, None], state], 1).reshape(-1, segments, steps + 1, begins.shape[1])
             q, v = self.robot.motion(state)
             first = 0
@@ -363,8 +363,23 @@ class RigidRobot(ParameterRow):
                 first += len(record.starts)
         return [scale * seen - zero for seen in out]
 
-    def _rolled(self, models: list, begins: np.ndarray, u: np.ndarray, spec: int, lawful: bool) -> np.ndarray:
-        """(N, T, S) states of rollouts from `begins` (N, S) under u (N, T, ..)."""
+    def _rolled(self, models: list, begins: np.ndarray, u: np.ndarray, force: np.ndarray | None, lawful: bool) -> np.ndarray:
+        """(N, T, S) states of rollouts from `begins` (N, S) under u (N, T, A), as many of each model, and torques (N, T, J)."""
+        which = np.repeat(np.arange(len(models)), len(begins) // len(models))
+        if self._kernel is None:
+            return self._stepped([models[k] for k in which], begins, u, force, lawful)
+        state, known = self._kernel(models, which, begins, u, force)
+        if not known.all():
+            left = np.flatnonzero(~known)
+            some = None if force is None else force[left]
+            state[left] = self._stepped([models[k] for k in which[left]], begins[left], u[left], some, lawful)
+        return state
+
+    def _stepped(self, models: list, begins: np.ndarray, u: np.ndarray, force: np.ndarray | None, lawful: bool) -> np.ndarray:
+        """The same by MuJoCo itself, a model for each."""
+        spec = int(mujoco.mjtState.mjSTATE_CTRL)
+        if force is not None:
+            u, spec = np.concatenate([u, force], 2), spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
         state, sensors = np.empty((*u.shape[:2], begins.shape[1])), np.empty((*u.shape[:2], self.robot.model.nsensordata))
         given = {"control_spec": spec, "skip_checks": True, "nstep": u.shape[1], "state": state, "sensordata": sensors}
         with rollout.Rollout(nthread=len(self._data) if len(self._data) > 1 else 0) as pool, joint_laws.acting(lawful):

@@ -1,7 +1,7 @@
 """Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
 
-    all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again ..
-    the best single effect -> the same; the likelier of both
+    all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again .. while likelier
+    from none, and from each of the best few single effects; the likeliest of all
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
@@ -36,38 +36,73 @@ class UnexplainedTorque(NamedTuple):
     least: np.ndarray
 
 
+class TorqueFit(NamedTuple):
+    """All effects fitted. loss: twice the negative log likelihood in `near`, whose torques and tangents are those of the row."""
+
+    loss: float
+    near: Likelihood
+    row: np.ndarray
+
+
 def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar):
     """(model with the measured errors of torques, the torques). model: `RigidRobot`; null: `RobotNull`."""
     records, limits = list(records), thresholds().torques
-    names = tuple(x.name for x in model.active.effects)
-    places = tuple(range(len(model.constants), len(model.null)))
-    row = model.null
-    wide = model.with_errors(limits.start * model.torque_tolerance, row)
     runs = null.residuals(model, records, ResidualLayout(records), bars)
-    e = Likelihood(wide, records, runs)
-    before = torques(e, row)
+    e = Likelihood(model.with_errors(limits.start * model.torque_tolerance, model.null), records, runs)
+    before = torques(e, model.null)
     few = informative_records(e.subset().base(), e.layout, model.screened_records)
-    found: list[tuple[float, Likelihood, np.ndarray]] = []
-    with bars(limits.fits + limits.fits_of_best, "torques that no effect explains", "fits") as bar:
-        for fits, chord in ((limits.fits, False), (limits.fits_of_best, True)):
-            there, at = e, _with_best(e.subset(few), row, model.active.effects) if chord else row
-            for _ in range(fits):
-                fit = there.subset()
-                at = fit.refine([fit.at(at, names, places)], limits.steps, chord)[0].row
-                there = e.with_record_errors(model.with_errors(np.maximum(torques(there, at), model.torque_tolerance), at))
-                found.append((there.subset().loss(at), there, at))
-                bar.update(len(found))
-        found = found[limits.fits - 1 :]
-    _, likeliest, row = min(found, key=lambda one: one[0])
-    return likeliest.model, UnexplainedTorque(before, torques(likeliest, row))
+    most = 1 + limits.starts + limits.kept + 1
+    with bars(most, "torques that no effect explains", "fits", at_most=True) as bar:
+        # The fit of all effects has several minima, and the noise of the search is what the best of them leaves.
+        starts = [model.null, *_best_single(e.subset(few), model.null, model.active.effects)]
+        found: list[TorqueFit] = []
+        for row in starts:
+            found.append(descend(TorqueFit(np.inf, e, row), limits.first_fits, limits.steps))
+            bar.update(len(found))
+        kept = sorted(found, key=lambda fit: fit.loss)[: limits.kept]
+        found = [descend(fit, limits.fits, limits.steps) for fit in kept]
+        best = descend(min(found, key=lambda fit: fit.loss), limits.fits, limits.steps, chord=False)
+        bar.update(most)
+    return best.near.model, UnexplainedTorque(before, torques(best.near, best.row))
 
 
-def _with_best(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> np.ndarray:
-    """The row with the best of some effects at a finite size: play, a limit or a period has no slope where it is not there."""
+def _best_single(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> list[np.ndarray]:
+    """Rows with one of the best few effects at a finite size: play, a limit or a period has no slope where it is not there."""
     base = fit.at(row)
     waves = [x for x in effects if any(p.fine and p.shape for p in x.parameters)]
     found = fit.screen(base, effects, fit.grid_search(base, waves)) if effects else []
-    return found[0].row if found and found[0].cost < base.cost else row
+    return [c.row for c in found[: thresholds().torques.starts] if c.cost < base.cost]
+
+
+def descend(fit: TorqueFit, fits: int, steps: int, chord: bool = True) -> TorqueFit:
+    """The fit of all effects after at most so many rounds: values, then the torques and the tangents at them.
+
+    A round whose end is less likely by its own torques is shortened, and at last not taken: values and torques chase each other.
+    steps, chord: of Gauss-Newton in each round.
+    """
+    limits = thresholds().torques
+    model = fit.near.model
+    names, places = tuple(x.name for x in model.active.effects), tuple(range(len(model.constants), len(model.null)))
+    for _ in range(fits):
+        search = fit.near.subset()
+        end = search.refine([search.at(fit.row, names, places)], steps, chord)[0].row
+        for share in limits.shares if np.isfinite(fit.loss) else (1.0,):
+            new = _measured_at(fit.near, fit.row + share * (end - fit.row))
+            if new.loss < fit.loss:
+                break
+        else:
+            return fit
+        gained, fit = fit.loss - new.loss, new
+        if gained < limits.settled:
+            break
+    return fit
+
+
+def _measured_at(near: Likelihood, row: np.ndarray) -> TorqueFit:
+    """The likelihood with the torques and the tangents of a row."""
+    model = near.model
+    there = near.with_record_errors(model.with_errors(np.maximum(torques(near, row), model.torque_tolerance), row))
+    return TorqueFit(there.subset().loss(row), there, row)
 
 
 def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:

@@ -1,0 +1,72 @@
+"""The fit of all effects of a robot from several starts, and rivals by their likelihood. All logs are *synthetic*."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from robot_arm import ARM, edited, write_logs
+from test_gap_robot import records_of
+
+from fishmj import effects
+from fishmj.gap.decide.decide import near_in_likelihood
+from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.fit import bounds
+from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.unexplained_torque import TorqueFit, descend, torques, with_measured_errors
+from fishmj.gap.thresholds import thresholds
+
+pytest.importorskip("numba")
+SOME = ("coulomb_friction", "viscous_friction", "torque_offset", "rotor_inertia", "com_offset")
+
+
+@pytest.fixture(scope="module")
+def question(tmp_path_factory):
+    """(model, records, null, likelihood before any fit) of an arm with dry friction at its elbow."""
+    folder = tmp_path_factory.mktemp("minima")
+    (folder / "arm.xml").write_text(ARM)
+    arm = read_robot(folder / "arm.xml")
+    records = records_of(arm, write_logs(folder / "sticky", edited(elbow_joint='frictionloss="0.06"'), logs=2, seconds=2.6))
+    null, catalogue = RobotNull(16), [effects.robot_catalogue()[name] for name in SOME]
+    model = RigidRobot(arm, sizes_of(arm, records), catalogue)
+    wide = model.with_errors(thresholds().torques.start * model.torque_tolerance, model.null)
+    return model, records, null, Likelihood(wide, records, null.residuals(model, records, ResidualLayout(records)))
+
+
+def test_rounds_of_the_fit_never_get_less_likely(question):
+    model, *_, e = question
+    fits = [TorqueFit(np.inf, e, model.null)]
+    for _ in range(4):
+        fits.append(descend(fits[-1], 1, 3))
+    assert all(after.loss <= before.loss for before, after in zip(fits[:-1], fits[1:], strict=True))
+    assert fits[1].loss - fits[-1].loss > thresholds().torques.settled
+
+
+def test_kept_fit_is_no_worse_than_from_any_start(question):
+    """Starts drawn within a third of the usual sizes, and none at all, end at the noise that is kept, or at more."""
+    model, records, null, e = question
+    low, high, size = bounds(model)
+    rng, first = np.random.default_rng(2), len(model.constants)
+    chosen, found = with_measured_errors(model, records, null)
+    kept = e.with_record_errors(chosen)
+    least = kept.subset().loss(chosen.reference)
+    assert found.least == pytest.approx(torques(kept, chosen.reference), rel=0.2)
+    for k in range(3):
+        start = model.null
+        start[first:] += k * 0.15 * size[first:] * rng.standard_normal(len(start) - first)
+        fit = descend(TorqueFit(np.inf, e, np.clip(start, low, high)), 6, 3)
+        assert least < fit.loss + 0.02 * abs(fit.loss)
+
+
+def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():
+    at = lambda name, cost: SimpleNamespace(names=("payload@b1", name), cost=cost)
+    lead = thresholds().torques.lead
+    ranked = (at("payload@b2", 10.0), at("com_offset@b2", 10.0 + 0.9 * lead), at("body_mass@b2", 10.0 + 1.1 * lead))
+    steps = [SimpleNamespace(accepted=True, ranked=ranked), SimpleNamespace(accepted=False, ranked=ranked[::-1])]
+    robot, fish = SimpleNamespace(torque_tolerance=1.0), SimpleNamespace()
+    found = lambda model: SimpleNamespace(near=SimpleNamespace(model=model), steps=steps)
+    assert near_in_likelihood(found(robot), "payload@b2") == {"com_offset@b2"}
+    assert near_in_likelihood(found(robot), "body_mass@b2") == set()
+    assert near_in_likelihood(found(fish), "payload@b2") == set()
