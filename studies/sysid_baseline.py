@@ -1,4 +1,4 @@
-"""What mujoco.sysid makes of a measured double pendulum: all listed parameters at once, and forward selection by BIC.
+"""Fits a measured double pendulum by mujoco.sysid: all listed parameters at once, and forward selection by BIC.
 
     python -m studies.sysid_baseline DIR/design_A.0 --model OUT/A.0_2.0_bare.xml
 

@@ -23,11 +23,27 @@ def rows(chosen) -> list[dict]:
     ]
 
 
+def robot_rows(chosen) -> list[dict]:
+    """One table row an effect of a robot in MJCF: at each of its sites of a kind."""
+    forms = [(e, e.robot) for e in chosen if e.robot is not None]
+    return [
+        {
+            "effect": e.name,
+            "at each": form.site,
+            "formula": e.formula,
+            "parameters": ", ".join(p.name for p in form.parameters),
+        }
+        for e, form in forms
+    ]
+
+
 def record(e: Effect) -> dict:
     """One effect as plain data, for JSON."""
     kept = ("name", "stage", "about", "formula", "source", "shows", "native", "stochastic", "delays", "drifts", "stream", "sites")
+    at = {} if e.robot is None else {"robot": {"site": e.robot.site, "parameters": [p.name for p in e.robot.parameters]}}
     return {
         **{key: getattr(e, key) for key in kept},
+        **at,
         "parameters": [
             {key: getattr(p, key) for key in ("name", "unit", "null", "low", "high", "typical", "signed", "shape", "about")}
             for p in e.parameters
@@ -47,10 +63,14 @@ def enters(e: Effect) -> str:
 def text(e: Effect) -> str:
     """Description of one effect in full."""
     lines = [f"{e.name} ({e.stage})", f"  {e.about}", f"  formula   {e.formula}", f"  source    {e.source}"]
-    lines += [f"  shows in  {', '.join(e.shows) or 'velocity'}", f"  enters    {enters(e)}", "  parameters"]
-    lines += [f"    {_parameter(p)}" for p in e.parameters]
-    lines += ["  looks like"] if e.confusions else []
-    for c in e.confusions:
+    if e.swims:
+        lines += [f"  shows in  {', '.join(e.shows) or 'velocity'}", f"  enters    {enters(e)}", "  parameters"]
+        lines += [f"    {_parameter(p)}" for p in e.parameters]
+    if e.robot is not None:
+        lines.append(f"  a robot in MJCF: at each {e.robot.site}, {', '.join(p.name for p in e.robot.parameters)}")
+    confusions = e.confusions if e.swims else e.robot.confusions if e.robot else ()
+    lines += ["  looks like"] if confusions else []
+    for c in confusions:
         runs = f" ({', '.join(c.excitations)})" if c.excitations else ""
         lines.append(f"    {c.other}: {c.separates}{runs}")
     return "\n".join(lines)
@@ -66,22 +86,28 @@ def _parameter(p: Parameter) -> str:
 def options() -> console.Parser:
     """The arguments of `effects`."""
     summary = "The catalogue of imperfections: what each is, how large, where it shows, what looks like it."
-    parser = console.parser("effects", summary, examples="example:\n  fishmj effects command_latency")
+    parser = console.parser("effects", summary, examples="example:\n  fishmj effects command_latency\n  fishmj effects --robot")
     parser.add_argument("name", type=console.text, nargs="?", help="one effect in full; by default the table of all")
+    robot = "those that gap find --model robot.xml knows, in place of those of a fish"
+    parser.add_argument("--robot", action="store_true", help=robot)
     return parser
 
 
 def main(argv: list[str]) -> int:
     """Prints the table, or one effect. Returns the exit code."""
     args = options().parse_args(argv)
-    chosen = [effects.get(args.name)] if args.name else list(effects.catalogue().values())
+    known = effects.robot_catalogue() if args.robot else effects.catalogue()
+    if args.name:  # of either kind: no name is of both with two meanings
+        chosen = [effects.robot_catalogue().get(args.name) or effects.get(args.name)]
+    else:
+        chosen = list(known.values())
     if args.json:
         records = [record(e) for e in chosen]
         console.emit_json(records[0] if args.name else {"effects": records, "n": len(records)})
     elif args.name:
         console.say(text(chosen[0]))
     else:
-        console.say(console.table(rows(chosen)))
+        console.say(console.table((robot_rows if args.robot else rows)(chosen)))
     return console.OK
 
 

@@ -5,6 +5,8 @@ hash, gates and rivals; its parent's text beside it; a .diff of the MJCF if MuJo
 overwritten. Only a NAMED effect that closes the gap on the judging records becomes a version. Any other candidate is kept as
 model.rejected-<hash>.toml with its scores, and the exit code is 1.
 
+Of a robot in MJCF <robot>.v<N>.xml is written by MuJoCo, with the effects that are NAMED each; gap check judges it.
+
     fishmj gap apply report --out my_fish.v2.toml
 """
 
@@ -19,6 +21,7 @@ from fishmj.base.store import write_text
 from fishmj.engines import own_effects
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.check import gaps
+from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records.datasets import digest, trials_named
 from fishmj.gap.wording import level, pair, title
@@ -63,6 +66,8 @@ def main(argv: list[str]) -> int:
     gap_options.there(args.report, args.data, args.revert)
     if (args.report is None) == (args.revert is None):
         raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
+    if args.revert and is_robot(args.revert):
+        raise ConfigError(f"gap apply: {args.revert}: the description that was searched is as it was; nothing is to be reverted")
     if args.revert:
         aside = model_version.revert(args.revert)
         console.say(f"{args.revert} is its parent again; the version is kept as {aside}")

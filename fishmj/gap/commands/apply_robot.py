@@ -48,18 +48,26 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     text = patched(robot, m, delay)
     version = out or next_version(path, report if report.is_dir() else report.parent)
     module = version.with_name(f"{stem_of(version.name)}.py")
-    if version.suffix != ".xml" or version.exists() or (beyond.names and module.exists()):
-        raise ConfigError(f"{version}: exists with its module, or does not end in .xml; choose another name with --out")
+    if version.suffix != ".xml":
+        raise ConfigError(f"{version}: a version of a robot is an .xml file; choose such a name with --out")
+    for there in (version, *([module] if beyond.names else [])):
+        if there.exists():
+            raise ConfigError(f"{there}: exists, and nothing is written over; choose another name with --out")
     names = ", ".join(title(e["name"]) for e in named)
     origin = f"<!-- {answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name} -->\n"
     write_text(version, text.replace("\n", "\n" + origin, 1) if text.startswith("<?xml") else origin + text)
     if beyond.names:
         write_text(module, module_text(version.name, robot, m, beyond, verdict["context"].get("rest") or {}))
-    reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
-    if floors := verdict["over_floor"].get("searched"):
+    if left := [e["name"] for e in verdict["effects"] if e not in named]:
+        told |= {"gap_before": None, "gap_after": None}
+        reason = f"without {', '.join(map(title, left))}, not certain: what the rest closes was not measured; gap check does"
+    else:
+        reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
+    if not left and (floors := verdict["over_floor"].get("searched")):
         reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} floors"
     if beyond.names:
         reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, which no field of MuJoCo holds"
+    reason += f"; MuJoCo wrote {version.name} anew, so that only the lines below differ in meaning"
     return told | {"path": version, "accepted": True, "reason": reason, "mjcf": difference(robot, text)}
 
 

@@ -23,8 +23,9 @@ from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.robot_logs import log_files, read_robot_logs
-from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.records.shooting import assumed, robot_records
 from fishmj.gap.search.likelihood import likelihood_of
+from fishmj.gap.thresholds import frozen
 from fishmj.gap.wording import level, number
 
 FEW = 5  # logs from which the bootstrap is over logs
@@ -104,8 +105,19 @@ def compare(parent: RobotDescription, version: RobotDescription, records: list) 
     worse = ""
     if not gaps[1] < gaps[0]:
         worse = f"gap {level(gaps[1])} on {len(records)} logs, no smaller than its parent's {level(gaps[0])}"
+    left = ""
+    if gaps[1] > frozen().adequacy:
+        left = f"gap {level(gaps[1])}: more is left than tolerances and noise explain (up to {level(frozen().adequacy)})"
     doubt = f"the interval of the ratio holds 1: {len(record)} segments do not tell" if ratio.low < 1.0 < ratio.high else ""
-    told = {"gap_parent": gaps[0], "gap": gaps[1], "ratio": ratio._asdict(), "by_joint": joints, "worse": worse, "doubt": doubt}
+    told = {
+        "gap_parent": gaps[0],
+        "gap": gaps[1],
+        "ratio": ratio._asdict(),
+        "by_joint": joints,
+        "worse": worse,
+        "left": left,
+        "doubt": doubt,
+    }
     return told | {"text": f"gap {level(gaps[0])} -> {level(gaps[1])}, ratio {ratio.text}"}
 
 
@@ -136,6 +148,8 @@ def ratio_of(before: np.ndarray, after: np.ndarray, record: np.ndarray) -> Ratio
 def printed_lines(found: dict) -> list[str]:
     """Lines for a terminal."""
     whose = "logs of the search, outside its decisions or its fits" if found["same_data"] else "logs"
-    rows = [{"joint": n, "RMS of the parent": a, "RMS": b} for n, (a, b) in found["by_joint"].items()]
-    doubt = [found["doubt"]] if found["doubt"] else []
-    return [f"{found['text']}; {len(found['logs'])} {whose}", console.table(rows), *doubt]
+    rows = [{"joint": n, "RMS of the parent [rad, m]": a, "RMS [rad, m]": b} for n, (a, b) in found["by_joint"].items()]
+    notes = [found[key] for key in ("left", "doubt") if found[key]]
+    seconds = assumed("segments")["length"]
+    over = f"{len(found['logs'])} {whose}, segments of {seconds:g} s; 1 is what the description's tolerances leave"
+    return [f"{found['text']}; {over}", console.table(rows), *notes]

@@ -8,13 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import AT, RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
 from fishmj.gap.models.search_step import coarsest
 from fishmj.gap.null.robot_null import RobotNull
@@ -35,7 +37,7 @@ from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
-from fishmj.log import Trial
+from fishmj.log import Trial, stacked
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
 AGAIN = "the same command begins anew"
@@ -70,10 +72,23 @@ def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dic
     trials, broken = read_robot_logs(files, columns_of(args, robot, files))
     for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
         console.warn(note)
+    if trials:
+        console.say(ranges_of(robot, trials))
     if len(trials) == 1 and len(parts := in_parts(trials[0])) > 1:
         console.say(f"one log: cut into {len(parts)} parts, so that some can judge what is fitted to the others")
         trials = parts
     return robot, files, trials, broken
+
+
+def ranges_of(robot: RobotDescription, trials: list[Trial]) -> str:
+    """Length and step of the logs, and the range of each channel, for a reader who knows them."""
+    stamps = [np.asarray(trial.tables["joint"]["t"], float) for trial in trials]
+    long, step = sum(float(np.ptp(t)) for t in stamps), float(np.median(np.concatenate([np.diff(t) for t in stamps])))
+    parts = []
+    for j, name in enumerate(joint.name for joint in robot.joints):
+        values = np.concatenate([stacked(trial.tables["joint"], "j#")[:, j] for trial in trials])
+        parts.append(f"{name} {values.min():.4g} to {values.max():.4g}")
+    return f"read: {len(trials)} logs, {long:.4g} s, a row every {1e3 * step:.4g} ms; rad or m: {', '.join(parts) or 'no joint'}"
 
 
 def refuse_fish_options(args: Any, command: str) -> None:
@@ -88,6 +103,7 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
     joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
     if args.columns:
         found = read_columns(args.columns, joints, actuators, robot.base is not None)
+        console.say("columns of the map:", *(f"  {row}" for row in found.rows()))
     else:
         sheet = read_sheet(files[0])
         torques = not robot.model.actuator_biasprm[:, 1].any()
@@ -109,6 +125,11 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     gates = robot_gates()
     null = RobotNull(args.null_runs, args.noise, args.seed)
     records = robot_records(trials, robot.dt, robot.channels)
+    logged = sum(float(np.ptp(trial.tables["joint"]["t"])) for trial in trials)
+    console.say(
+        f"compared: {sum(len(r.starts) for r in records)} segments, {sum(r.seconds for r in records):.0f} of {logged:.0f} s,"
+        " spread evenly"
+    )
     seen = [r for r, aside in zip(records, set_aside(records, args.seed), strict=True) if not aside]
     robot.check_contact(seen)
     refuse_mistakes(robot, seen, args.anyway)
@@ -118,7 +139,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         console.say(f"left out, since no reading would show them: {', '.join(sorted(map(title, inert)))}")
     started = RigidRobot(robot, sizes, without=inert, stride=coarsest(robot, sizes, seen, inert))
     model, _ = with_measured_errors(started, seen, null, progress.terminal_bar)
-    return investigate(
+    found = investigate(
         model,
         trials,
         gates=gates if args.most is None else replace(gates, max_effects=args.most),
@@ -129,6 +150,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         bars=progress.terminal_bar,
         notes=robot.notes,
     )
+    return replace(found, verdict=without_stand_in(found.verdict))
 
 
 def robot_gates() -> Gates:
@@ -160,13 +182,29 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
     }
 
 
+def doubted(verdict: Verdict) -> set[str]:
+    """Effects of an answer with a rival or a value that is not believable, and those fitted beside one at the same site."""
+    out = {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
+    out |= {e.name for e in verdict.effects for w in verdict.warnings if w.startswith(f"{title(e.name)}: ")}
+    places = {name.partition(AT)[2] for name in out}
+    return out | {e.name for e in verdict.effects if e.name.partition(AT)[2] in places}
+
+
 def by_effect(verdict: Verdict) -> dict[str, str]:
     """NAMED or CLASS for each effect of the answer: one may be certain beside another that is not; {} for other answers."""
     if verdict.answer not in ("NAMED", "CLASS"):
         return {}
-    doubted = {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
-    doubted |= {e.name for e in verdict.effects for w in verdict.warnings if w.startswith(title(e.name))}
-    return {e.name: "CLASS" if e.name in doubted else "NAMED" for e in verdict.effects}
+    open_ones = doubted(verdict)
+    return {e.name: "CLASS" if e.name in open_ones else "NAMED" for e in verdict.effects}
+
+
+def without_stand_in(verdict: Verdict) -> Verdict:
+    """The verdict, UNEXPLAINED where its effects have no rival and none of them has a value to believe: no class of one."""
+    alone = verdict.answer == "CLASS" and not verdict.rivals and all(e.p_best >= frozen().p_best for e in verdict.effects)
+    if not alone or doubted(verdict) < {e.name for e in verdict.effects}:
+        return verdict
+    why = "the best of the catalogue would need a value that is not believable: it stands in for something else; it is tentative"
+    return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
 def place_of(inquiry: Inquiry) -> RobotLocalisation:

@@ -62,7 +62,9 @@ def next_robot(args: Any) -> int:
         raise ConfigError(f"gap next: {robot.path}: {told}; fly it by its controller, with faster turns and climbs than before")
     pairs = pairs_of(verdict) if verdict else []
     if verdict and not pairs:
-        console.say(f"{verdict['answer']}: fewer than two explanations are left; no experiment has to decide between any")
+        none = "fewer than two explanations are left, so that none has to be decided between"
+        wide = f"what tells most about the whole robot: fishmj gap next {robot.path} --out experiment.csv"
+        console.say(f"{verdict['answer']}: {none}; nothing is written. {wide}")
         if args.json:
             console.emit_json({"answer": verdict["answer"], "experiments": []})
         return console.OK
