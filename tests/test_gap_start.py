@@ -8,12 +8,14 @@ pytest.importorskip("numba")
 from test_gap import NULL, evidence_on, hidden, row_of
 
 from fishmj import effects
+from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import within_null_scatter
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.whitening import changes_sensing
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.verdict import NamedEffect, Value
 from fishmj.gap.workflow import investigate
+from fishmj.log import physical_checks
 
 RUNS = ("gait", "drift_north", "turn_left", "gait_fast")
 
@@ -41,6 +43,39 @@ def test_a_heading_that_passes_half_a_turn_is_where_it_was_put(turning):
     there = trial.__class__({**trial.meta, "start": [x, y, yaw + 2 * np.pi]}, trial.tables, name=trial.name)
     placed = record_of(there, turning.dt).placed.values[0]
     assert np.isclose(placed[2], record_of(trial, turning.dt).placed.values[0, 2] + 2 * np.pi)
+
+
+@pytest.fixture(scope="module")
+def gait_log():
+    return hidden({}, 5, ("gait",))[0]
+
+
+def rows_of(trial, table, keep):
+    """The trial with some rows of a table."""
+    columns = {
+        name: np.asarray(values)[keep(np.asarray(trial.tables[table]["t"]))] for name, values in trial.tables[table].items()
+    }
+    return trial.__class__(trial.meta, {**trial.tables, table: columns}, name=trial.name)
+
+
+@pytest.mark.parametrize("table", ["pose", "joint"])
+def test_table_that_begins_after_the_joints_move_is_no_start(gait_log, table):
+    with pytest.raises(LogError, match=f"{table} begins 3 s after the first command, the joints move from"):
+        record_of(rows_of(gait_log, table, lambda t: t >= 3.0), 0.004)
+    assert record_of(rows_of(gait_log, table, lambda t: t >= 0.2), 0.004).seconds > 5
+
+
+def test_lost_rows_of_commands_are_no_held_command(gait_log):
+    gap = lambda t: (t < 2.0) | (t > 5.0)  # three beats: the command goes on where it was, the joints did not rest
+    with pytest.raises(LogError, match="no commands for 3.0. s from t = .* rows were lost"):
+        record_of(rows_of(gait_log, "cmd", gap), 0.004)
+    unread = {name: table for name, table in gait_log.tables.items() if name != "joint"}
+    other = rows_of(gait_log.__class__(gait_log.meta, unread, name="other"), "cmd", lambda t: (t < 2.0) | (t > 4.7))
+    with pytest.raises(LogError, match="rows were lost"):
+        record_of(other, 0.004)
+    held = rows_of(gait_log, "cmd", lambda t: t < 2.0)  # an end is no pause
+    assert len(record_of(held, 0.004).commands) > 2000
+    assert not any(find.text for find in physical_checks.examine(rows_of(gait_log, "joint", gap), ["standing still"]))
 
 
 @pytest.mark.slow

@@ -142,6 +142,8 @@ def named(values, name, **others):
         ),
         (named(170 * WAVE, "cmd1", pos1=15 * WAVE), "up to 170: a servo's counts", "cmd1=cmd.c1:deg"),
         (named(2048 + 300 * WAVE, "cmd1_ticks"), "count of a servo. Say the scale here", "cmd1_ticks=cmd.c1:rad*SCALE"),
+        (named(30 * WAVE, "servo1_cmd_percent"), "% of a servo. Say the scale here", "servo1_cmd_percent=cmd.c1:rad*SCALE"),
+        (named(0.3, "pos_y_m", pos_x_m=0.01 * N, pos_z_m=0.02 * WAVE, yaw_deg=5 * WAVE), "is y the height?", "pos_y_m=pose.y:m"),
         (named(1500 + 300 * WAVE, "servo1_cmd_us"), "us of a servo. Say the scale here", "servo1_cmd_us=cmd.c1:rad*SCALE"),
         (
             named(90 + 30 * WAVE, "pos1_deg"),

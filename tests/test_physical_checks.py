@@ -10,6 +10,7 @@ from fishmj.base import console
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import LogError
 from fishmj.gap.commands.admission import admitted, unphysical
+from fishmj.gap.records.datasets import readable_trials
 from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, write_dataset, write_trial
 from fishmj.log.__main__ import main as log
 from fishmj.log.dataset import read_bundle
@@ -235,6 +236,13 @@ def test_the_guide_lists_every_check_with_its_bound():
     guide = (ROOT / "docs" / "search" / "logs.md").read_text(encoding="utf-8")
     for check in physical_checks.CHECKS:
         assert any(line.startswith(f"| {check.name} |") and f"`{check.bound}`" in line for line in guide.splitlines()), check.name
+
+
+def test_a_recording_under_two_names_is_compared_once(tmp_path):
+    measured = replace(turning(), meta={"origin": "measured", "robot": "swift"})
+    found = readable_trials(saved(tmp_path / "data", measured, replace(measured, name="copy")))
+    (left,) = found.broken.values()
+    assert len(found.trials) == 1 and "to the last digit: one recording under two names" in left
 
 
 # The four doors.

@@ -85,6 +85,14 @@ def test_angles_beyond_any_joint_are_no_radians_unless_they_are_said_to_be(tmp_p
     assert len(read_robot_logs([log], said)[0]) == 1
 
 
+def test_log_under_two_names_is_read_once(tmp_path):
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{k / 100},{k / 30},0.2,1,2\n" for k in range(30)))
+    columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    trials, broken = read_robot_logs(sorted(tmp_path.glob("*.csv")), columns)
+    assert [trial.name for trial in trials] == ["a"] and "has the readings of a to the last digit" in broken["b.csv"]
+
+
 def test_stamps_that_go_back_are_named_with_their_row(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{k % 20 / 100},0.1,0.2,1,2\n" for k in range(30)))

@@ -29,7 +29,7 @@ import numpy as np
 
 from fishmj.log.trial import Trial, stacked
 from fishmj.log.trial_check import Plausible, bounds_of
-from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, is_sound, joints, lost_poses, speeds
+from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, is_logged, is_sound, joints, lost_poses, speeds
 
 IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and all after it; gap find and calibrate; nothing
 LONGEST = 3600.0  # s of a trial that are looked at
@@ -416,6 +416,7 @@ def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarr
         if f"on{number}" in cmd and len(grid):
             held = np.searchsorted(cmd["t"], grid, side="right") - 1
             grid = grid[np.asarray(cmd[f"on{number}"])[held] > 0]
+        grid = grid[is_logged(np.asarray(joint["t"], float), grid)]
         if len(grid) < 20:
             continue
         sent = np.searchsorted(cmd["t"], grid, side="right") - 1

@@ -5,6 +5,7 @@ all templates of one table share N. Angles are radians, times seconds on the clo
 in the tank frame.
 """
 
+import hashlib
 import re
 from dataclasses import dataclass, field, replace
 
@@ -257,3 +258,12 @@ def _between(name: str, table: Table, start: float, end: float) -> Table:
         before = np.flatnonzero(t < start)
         keep[before[-1:]] = True
     return {column: values[keep] for column, values in table.items()}
+
+
+def readings_sha256(trial: Trial) -> str:
+    """Hex digest of all tables of a trial but their commands; the same for a copy under another name."""
+    total = hashlib.sha256()
+    for name, table in sorted(trial.tables.items()):
+        for column, values in sorted(table.items()) if name != "cmd" else ():
+            total.update(f"\0{name}.{column}\0".encode() + np.ascontiguousarray(values, float).tobytes())
+    return total.hexdigest()

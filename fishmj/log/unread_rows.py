@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fishmj.log.trial import Table
+from fishmj.log.trial import GAP, Table
 from fishmj.log.trial_check import Plausible
 
 SHORT, OFTEN = 5, 3  # rows of one failed read at most; times that the same value must come back
@@ -93,6 +93,12 @@ def joints(table: Table, letter: str = "j") -> list[str]:
 def speeds(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """(T - 1,) speeds between neighbouring rows."""
     return np.abs(np.diff(x)) / np.maximum(np.diff(t), 1e-6)
+
+
+def is_logged(t: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(G,) False for times between two stamps (T,) that are further apart than a gap, or than five usual steps."""
+    step = np.diff(t, prepend=t[0], append=t[-1])
+    return step[np.searchsorted(t, times)] <= max(GAP, 5 * float(np.median(step)))
 
 
 def failed_rows(t: np.ndarray, x: np.ndarray, bounds: Plausible) -> np.ndarray:

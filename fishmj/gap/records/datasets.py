@@ -9,6 +9,7 @@ from fishmj.gap.records.records import record_of
 from fishmj.log import Trial, measurements, physical_checks, trial_check
 from fishmj.log.dataset import Taken, read_bundle, take
 from fishmj.log.table_files import row_place
+from fishmj.log.trial import readings_sha256
 
 BUNDLE = ".npz"
 
@@ -35,6 +36,11 @@ def readable_trials(data: Path, dt: float | None = None) -> Taken:
     for name, trial in found.trials.items():
         trials[name], left_out = physical_checks.without_failed_reads(named(name, trial))
         notes += [f"{name}: {note}" for note in left_out]
+    first: dict[str, str] = {}
+    for name in [name for name, trial in trials.items() if trial.value("origin") == "measured"]:
+        if (other := first.setdefault(readings_sha256(trials[name]), name)) != name:
+            broken[name] = f"has the readings of {other} to the last digit: one recording under two names"
+            del trials[name]
     if dt is not None:
         for name in list(trials):
             try:

@@ -25,6 +25,8 @@ TINY = 1e-9  # s: the row that has moved is not one of rest
 STILL = np.radians(2.0)  # a command or a joint that has moved by this no longer rests
 NOISE = 6.0  # standard deviations of an encoder, which are no movement
 SWIMS = 0.15  # m/s at the first row; a model begins at rest, or with the push that the log states
+LATE = 0.5  # s after the joints begin to move by which they and the fish must be seen: the model starts from there
+LOST, JUMP = 0.25, 3.0  # s of a pause in steady commands, and times their usual step that they have moved by its end
 LONGEST = 3600.0  # s of a record; beyond it, two clocks that do not share a zero
 MOVING = 0.09  # s after it begins to move: what the camera's own delay still shows of the start
 
@@ -70,8 +72,8 @@ def record_of(trial: Trial, dt: float) -> Record:
     """Reads one trial.
 
     Raises:
-        LogError: no commands, nothing measured, joints that differ in number, clocks of another zero, a fish that swims at the
-            first row, or meta data that are no numbers.
+        LogError: no commands or rows of them lost, nothing measured or too late, joints that differ in number, clocks of another
+            zero, a fish that swims at the first row, or meta data that are no numbers.
     """
     if "cmd" not in trial.tables:
         raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")
@@ -93,6 +95,8 @@ def record_of(trial: Trial, dt: float) -> Record:
     rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
     push = _three(trial, "push", (0.0, 0.0, 0.0))
     still = _still(cmd["t"] - begin, c, joint)
+    _refuse_late(trial.name, {"joint": joint, "pose": pose}, still)
+    _refuse_lost(trial.name, cmd["t"] - begin, c, joint)
     begins = _first(pose, 3, MOVING if push.any() else min(REST, still + MOVING))
     if pose is not None and not push.any():
         _at_rest(trial.name, pose, min(REST, still + MOVING))
@@ -121,6 +125,32 @@ def record_of(trial: Trial, dt: float) -> Record:
         stated=_stated(trial),
         placed=None if place is None or pose is None or push.any() else _placed(begins, place, pose.sigma),
     )
+
+
+def _refuse_late(name: str, seen: dict[str, Sensor | None], still: float) -> None:
+    """Raises LogError if the joints move before a table begins."""
+    for table, sensor in seen.items():
+        if sensor is not None and sensor.t[0] > still + LATE:
+            raise LogError(
+                f"trial {name}: {table} begins {sensor.t[0]:.3g} s after the first command, the joints move from"
+                f" {max(still, 0):.3g} s on, and a model begins where both are known; do all tables count from one zero? If so,"
+                f" begin the commands with the table {table}, while the fish lies still"
+            )
+
+
+def _refuse_lost(name: str, t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> None:
+    """Raises LogError for a pause of steady commands in which the joints go on, or after which they go on elsewhere."""
+    step, moved = np.diff(t), np.abs(np.diff(commands, axis=0)).max(1)
+    if len(step) < 8 or np.quantile(step, 0.75) > 1.5 * np.median(step):
+        return
+    for i in np.flatnonzero(step > max(LOST, 5 * np.median(step))):
+        seen = np.zeros((1, 1)) if joint is None else joint.values[(joint.t > t[i] + REST) & (joint.t < t[i + 1])]
+        swings = len(seen) > 1 and np.ptp(seen, 0).max() > 2 * STILL
+        if swings or moved[i] > JUMP * max(np.quantile(moved, 0.9), STILL):
+            raise LogError(
+                f"trial {name}: no commands for {step[i]:.3g} s from t = {t[i]:.4g} s on, and they were not held: rows were lost,"
+                " and nothing says what was commanded; split the trial there (fishmj.log.segments)"
+            )
 
 
 def _sensor(trial: Trial, table: str, begin: float, read, names) -> Sensor | None:
@@ -187,9 +217,11 @@ def _still(t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> float:
 def _at_rest(name: str, pose: Sensor, rest: float) -> None:
     """Raises LogError if the fish swims in the first rows: no log holds its joint rates, so no model can start there."""
     rows = pose.t <= rest
+    if rows.sum() < 3:
+        return
     t, seen = pose.t[rows] - pose.t[rows].mean(), pose.values[rows]
     spread = float(np.sqrt(np.sum(t**2)))
-    if rows.sum() < 3 or not spread:
+    if not spread:
         return
     speed = float(np.hypot(*(t @ seen[:, :2]) / spread**2))
     noise = float(np.nan_to_num(pose.sigma[:2]).max()) / spread

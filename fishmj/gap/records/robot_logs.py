@@ -38,6 +38,7 @@ from fishmj.log.importers.column_units import SI, UNITS, measures, time_unit, un
 from fishmj.log.importers.gather import is_recording, read_sheets
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare
+from fishmj.log.trial import readings_sha256
 
 INFO = Path("meta") / "info.json"  # of a LeRobot data set
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz", ".pt")
@@ -423,7 +424,7 @@ def _refuse_degrees(table: LogTable, columns: RobotColumns, t: np.ndarray, moved
 
 def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:
     """(logs, name -> why it was left out). Raises LogError if none can be read."""
-    logs, broken = [], {}
+    logs, broken, first = [], {}, {}
     for path in files:
         try:
             tables = log_tables(path)
@@ -432,7 +433,10 @@ def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[
             continue
         for table in tables:
             try:
-                logs.append(robot_trial(table, columns))
+                trial = robot_trial(table, columns)
+                if (other := first.setdefault(readings_sha256(trial), trial.name)) != trial.name:
+                    raise LogError(f"{table.where}: has the readings of {other} to the last digit: one recording under two names")
+                logs.append(trial)
             except FishmjError as error:
                 broken[path.name if len(tables) == 1 else table.name] = " ".join(str(error).split())
     if not logs:

@@ -195,18 +195,22 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
     return ("deg", f"up to {most:.4g}") if most > 40 else ("", f"up to {most:.3g}: rad or deg?")
 
 
+def spread(values: Sequence[np.ndarray]) -> float:
+    """Largest span of several columns; 0 without a number."""
+    return max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
+
+
 def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     """Unit of positions (x and y together), and the reason; the offset of the first row is ignored."""
-    spread = max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
-    told = f"spread {spread:.3g}"
-    if spread <= bounds_of({}, "").tank:
+    far = spread(values)
+    told = f"spread {far:.3g}"
+    if far <= bounds_of({}, "").tank:
         return "m", told
-    return "", f"{told}: m or cm?" if spread <= FLUTTER else f"{told}: mm, cm, px or m?"
+    return "", f"{told}: m or cm?" if far <= FLUTTER else f"{told}: mm, cm, px or m?"
 
 
 def other_axis(unit: str, said: Sequence[np.ndarray], silent: Sequence[np.ndarray]) -> tuple[str, str]:
     """Unit of positions without one beside those with `unit`, and the reason; "" if they hardly move in it."""
-    spread = lambda values: max((float(np.nanmax(v) - np.nanmin(v)) for v in values if np.isfinite(v).any()), default=0.0)
     far, near = spread(said), spread(silent)
     if UNITS[unit][1] < 1 and 0 < near < max(LEAST / UNITS[unit][1], far * SLIM):
         return "", f"its other axis is in {unit}, where it moves by {near:.2g} {unit} only: {unit} or m?"

@@ -22,6 +22,7 @@ TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6)}  # places of a second column of the stamp; in a second
 _NUMBER = re.compile(r"\d+")
 COUNTED = ("rad*SCALE",)  # of a servo's ticks or pulses
+FLAT = 5.0  # times that z moves further than y where y is the height
 ROWS = 200_000  # of one file that the statistics look at
 
 
@@ -129,7 +130,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     out = _commanded_or_measured(out)
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
-    out = _once(_points(out), found)
+    out = _once(_points(_upright(out, found)), found)
     return _complete(_counts(_silent(out, found)), found)
 
 
@@ -286,7 +287,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 raise LogError(
                     f"--set {quoted(g.column)}: {g.unit} measures {measures(g.unit)}; {g.place} is in {SI.get(what) or 'no unit'}"
                 )
-            counted = what == "angle" and measures(g.unit) in ("count", "time")
+            counted = what == "angle" and measures(g.unit) in ("count", "share", "time")
             why = f"{g.unit} of a servo. {column_units.TICKS}" if counted else f"{g.unit} is no unit of {g.place}"
             out.append(g.unclear(why, fits=COUNTED * counted))
             continue
@@ -405,6 +406,22 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
                 there = next((bare(found[out[o].kind].sheets[0].name) for o in mine if out[o].kind != out[i].kind), "")
                 way = f" Leave a whole file or topic out with --set {there}=skip" if there else ""
                 out[i] = out[i].unclear(f"{place} is also {others}{f' of {there}' if there else ''}: which?{way}")
+    return out
+
+
+def _upright(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
+    """Asks about a y that hardly moves beside a z that does: trackers of motion often count y upwards."""
+    out = list(guesses)
+    for i, g in enumerate(guesses):
+        if g.state != TAKEN or g.said or g.place not in ("pose.y", "target.y"):
+            continue
+        name, kind = header.parse(g.column), found[g.kind]
+        of = {header.parse(c).words: c for c in kind.columns if header.parse(c).number == name.number}
+        beside = [of.get(tuple(axis if word == "y" else word for word in name.words)) for axis in "xyz"]
+        x, y, z = (column_units.spread([kind.values(c)] if c else []) for c in beside)
+        if z > FLAT * y and z > 0.01 * x:
+            why = f"its z spans {z:.3g}, y {y:.3g}: is y the height? Then map z for y, sign = -1 if x, y, z are right-handed"
+            out[i] = g.unclear(why)
     return out
 
 

@@ -145,7 +145,7 @@ def _exact(name: Header, context: set[str]) -> Role | None:
 def _force(name: Header, context: set[str]) -> Role | None:
     if name.has(FORCE) or measures(name.unit) in ("force", "torque") or (context & FORCE and not name.has(TIME)):
         return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
-    known = name.has(SERVO | JOINT) or (name.unit == "count" and name.has(COMMAND | MEASURED) and name.number is not None)
+    known = name.has(SERVO | JOINT) or (name.unit in ("count", "%") and name.has(COMMAND | MEASURED) and name.number is not None)
     if measures(name.unit) in ("mass", "power", "share", "count") and not known:
         return Role(why=f"{name.unit}: the schema has no such column")
     if name.has(NOWHERE):
@@ -240,7 +240,7 @@ def _joint(name: Header, context: set[str]) -> Role | None:
         known = bool(context & (SERVO | JOINT))
     numbered = name.number is not None and (name.has(COMMAND | MEASURED) or said == "angle")
     known |= bool(name.words) and COMMAND.issuperset(name.words) or said == "angle" and name.has(COMMAND | MEASURED)
-    counted = said == "count" and name.has(COMMAND | MEASURED) or said == "time" and numbered and name.has(COMMAND)
+    counted = said in ("count", "share") and name.has(COMMAND | MEASURED) or said == "time" and numbered and name.has(COMMAND)
     counted = counted and not name.has(RATE | {"load"})  # ticks, or a pulse's width
     if not (known or numbered) or not (counted or said in ("", "angle", "rate")):
         return Role(why=f"{name.unit} measures no angle") if known and said else None
