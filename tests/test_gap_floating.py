@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.gap.bench import robot_cases
+from fishmj.gap.bench import robot_cases, robot_rows
 from fishmj.gap.commands import next_robot
 from fishmj.gap.commands.admit_robot import POSES, _posed, mistakes, refuse_mistakes
 from fishmj.gap.commands.apply_robot import changed
@@ -328,6 +328,16 @@ def test_mistake_in_a_pose_is_named_with_its_remedy(what, quadrotor, records):
     assert any(what in m.what for m in mistakes(quadrotor, thinned(wrong, 4)))
 
 
+def test_base_that_was_held_is_refused_by_its_free_joint(quadrotor, records):
+    rng = np.random.default_rng(0)
+    still = lambda r: r.joint._replace(values=np.tile([0.1, 0.0, 1.0, 0.0, 0.0, 0.0], (len(r.joint.t), 1)))
+    noisy = lambda r: turned(r.turns[:1], 1e-3 * rng.standard_normal((len(r.turns), 3)))
+    held = [r._replace(joint=still(r), turns=noisy(r)) for r in records]
+    with pytest.raises(LogError, match="weld it in the model"):
+        refuse_mistakes(quadrotor, held)
+    refuse_mistakes(quadrotor, thinned(records, 4))
+
+
 def test_exchanged_rotors_are_named(quadrotor, records):
     wrong = [r._replace(commands=r.commands[:, [2, 0, 1, 3]]) for r in records]
     with pytest.raises(LogError, match=r"r1 = that of r2, r2 = that of r3, r3 = that of r1.*times better.*--columns"):
@@ -397,3 +407,12 @@ def test_quadrotors_of_the_benchmark_carry_their_own_effects(tmp_path):
     assert row["joints"] == 0 and row["visible"]["thrust_loss"] > 5.0
     log = np.load(tmp_path / row["id"] / "logs" / "log1.npz")
     assert {"t", *POSE, "cmd_r1", "cmd_r2", "cmd_r3", "cmd_r4"} == set(log) and abs(np.mean(log["z"])) < 1.0
+
+
+@pytest.mark.slow
+def test_search_names_the_hidden_centre_of_a_quadrotor(tmp_path):
+    case = robot_cases.RobotCase("one", "single", "mujoco", QUADROTOR, ("com_offset",), 12)
+    row = robot_rows.judge_set(tmp_path, robot_cases.make_set(tmp_path, case))
+    assert row["answer"] == "NAMED" and [e["name"] for e in row["said"]] == ["com_offset@b1"]
+    truth, found = row["truth"]["com_offset@b1"], row["said"][0]["values"]
+    assert np.hypot(truth["x"] - found["x"][0], truth["y"] - found["y"][0]) < 0.002
