@@ -127,6 +127,7 @@ def test_start_of_a_tumbling_body_is_estimated_within_its_error(tmp_path):
 
 # ------------------------------------------------------------------------------------------------------------------- descriptions
 def test_floating_robot_has_coordinates_and_no_tilt_or_friction(quadrotor, model):
+    assert "its tilt, friction of its free joint" in quadrotor.notes[0]
     assert quadrotor.channels == COORDINATES and quadrotor.sites("actuator") == ("r1", "r2", "r3", "r4")
     names = {placed.effect.name for placed in model.placed}
     assert names >= {"body_mass", "com_offset", "servo_gain", "thrust_loss", "thruster_lag", "steady_wind", "torque_offset"}
@@ -206,10 +207,17 @@ def test_joints_are_read_at_the_stamps_of_the_pose(tmp_path):
     path.write_text(text)
     t, seen = 0.002 * np.arange(600), np.arange(600) % 5 == 0
     pose = {p: np.where(seen, float(p == "qw"), np.nan) for p in POSE}
-    np.savez(tmp_path / "log.npz", t=t, pos_knee=np.sin(t), **{f"cmd_r{k}": 0.1 * t for k in range(1, 5)}, **pose)
+    np.savez(
+        tmp_path / "log.npz",
+        t=t,
+        pos_knee=np.where(t < 0.8, np.sin(t), np.nan),
+        **{f"cmd_r{k}": 0.1 * t for k in range(1, 5)},
+        **pose,
+    )
     robot = read_robot(path)
     assert robot.channels == (*COORDINATES, "knee")
     (record,) = records_of(robot, tmp_path / "log.npz")
+    assert record.joint.t[-1] < 0.8  # no pose is taken where the encoders are silent
     np.testing.assert_allclose(np.diff(record.joint.t), 0.01)
     np.testing.assert_allclose(record.joint.values[:, 6], np.sin(record.joint.t), atol=1e-4)
 

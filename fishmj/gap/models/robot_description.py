@@ -264,6 +264,8 @@ def read_robot(path: Path) -> RobotDescription:
     names = tuple(name_of(m, "actuator", a) for a in range(m.nu))
     base = next((FreeBase(bodies[j], dofs[j], places[j]) for j in range(m.njnt) if m.jnt_type[j] == FREE), None)
     thrusters = {names[a]: a for a in range(m.nu) if on_site[a]}
+    if base:
+        notes.append(f"the base of {path.name} floats: its tilt, friction of its free joint and contacts are in no question")
     if twice := {j.name for j in joints} & {*thrusters, *(COORDINATES if base else ())}:
         what = "a joint and a thruster, or a joint and a coordinate of the free base, share it; rename the joint"
         raise ConfigError(f"{path}: the name {min(twice)}: {what}")
