@@ -169,6 +169,11 @@ def test_pose_is_guessed_from_names_that_say_each_part(style):
     assert any("qw of the base" in row for row in found.rows())
 
 
+def test_columns_that_are_named_as_thrusters_are_their_commands():
+    found = guess_columns(["t", *POSE, "thrust1", "thrust2"], (), ("thrust1", "thrust2"), True, free=True)
+    assert [c.column for c in found.actuator.values()] == ["thrust1", "thrust2"]
+
+
 def test_pose_of_numbers_or_none_is_left_to_a_map():
     """Numbers do not say whether w is first."""
     with pytest.raises(LogError, match="commands of the actuators"):

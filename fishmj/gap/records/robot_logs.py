@@ -140,7 +140,10 @@ def guess_columns(
     base = _pose_columns(names) if free else {}
     names = [n for n in names if n not in base.values()]
     measured = _best("positions of the joints", "joint", names, joints, lambda w: _position_score(w)) if joints else {}
-    asked = _best("commands of the actuators", "actuator", names, actuators, lambda w: _command_score(w, torques))
+    if set(actuators) <= set(names) - set(joints):  # thrusters under their own names
+        asked = {name: name for name in actuators}
+    else:
+        asked = _best("commands of the actuators", "actuator", names, actuators, lambda w: _command_score(w, torques))
     unit = next((UNITS[w] for w in _words(stamps[0]) if w in ("ms", "us", "ns")), "")
     return RobotColumns(
         Stamp(column=stamps[0], unit=unit),
