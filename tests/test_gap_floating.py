@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.bench import robot_cases, robot_rows
 from fishmj.gap.commands import next_robot
@@ -15,7 +16,7 @@ from fishmj.gap.laboratory.articulated.flown_faults import FLOWN, with_faults
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco, FlownPinocchio, box_drag
 from fishmj.gap.laboratory.articulated.flown_stand import FlownStand, fly, references
 from fishmj.gap.laboratory.articulated.robot_plan import QUADROTOR, draw_plan, mjcf
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes, sizes_of
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.records.attitude import COORDINATES, quaternion_rate, rotation_vector, turned
@@ -59,6 +60,18 @@ def quadrotor(folder):
     path = folder / "quadrotor.xml"
     path.write_text(mjcf(PLAN))
     return read_robot(path)
+
+
+def test_centre_may_leave_the_frame_of_a_body(tmp_path):
+    """MuJoCo compiles a body whose centre is at its frame as a simple one, and refuses another centre in it."""
+    path = tmp_path / "boat.xml"
+    path.write_text(BOAT)
+    robot = read_robot(path)
+    sizes = RobotSizes(np.ones(3), np.ones(3), np.ones(2), np.ones(2))
+    model = RigidRobot(robot, sizes, [effects.robot_catalogue()["com_offset"]])
+    row = model.null
+    row[model.index("com_offset@hull", "x")] = 0.02
+    assert model.model(row).body_ipos[1].tolist() == [0.02, 0.0, 0.0]
 
 
 @pytest.fixture(scope="module")

@@ -250,6 +250,8 @@ def read_robot(path: Path) -> RobotDescription:
         actuator.delay, actuator.nsample = 0.0, 0
     for joint in working.joints:
         joint.userdata = []
+    for body in working.bodies[1:]:
+        body.simple = 0  # a body with its centre at its frame may get another
     working.nuser_jnt, working.nuserdata = joint_laws.width(), joint_laws.remembered(len(working.joints))
     m = working.compile()
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
