@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.gap.bench import robot_cases
+from fishmj.gap.bench import robot_cases, robot_rows
 from fishmj.gap.commands import next_robot
 from fishmj.gap.commands.admit_robot import POSES, _posed, mistakes, refuse_mistakes
 from fishmj.gap.commands.apply_robot import changed
@@ -15,7 +16,7 @@ from fishmj.gap.laboratory.articulated.flown_faults import FLOWN, with_faults
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco, FlownPinocchio, box_drag
 from fishmj.gap.laboratory.articulated.flown_stand import FlownStand, fly, references
 from fishmj.gap.laboratory.articulated.robot_plan import QUADROTOR, draw_plan, mjcf
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes, sizes_of
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.records.attitude import COORDINATES, quaternion_rate, rotation_vector, turned
@@ -59,6 +60,18 @@ def quadrotor(folder):
     path = folder / "quadrotor.xml"
     path.write_text(mjcf(PLAN))
     return read_robot(path)
+
+
+def test_centre_may_leave_the_frame_of_a_body(tmp_path):
+    """MuJoCo compiles a body whose centre is at its frame as a simple one, and refuses another centre in it."""
+    path = tmp_path / "boat.xml"
+    path.write_text(BOAT)
+    robot = read_robot(path)
+    sizes = RobotSizes(np.ones(3), np.ones(3), np.ones(2), np.ones(2))
+    model = RigidRobot(robot, sizes, [effects.robot_catalogue()["com_offset"]])
+    row = model.null
+    row[model.index("com_offset@hull", "x")] = 0.02
+    assert model.model(row).body_ipos[1].tolist() == [0.02, 0.0, 0.0]
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +140,7 @@ def test_start_of_a_tumbling_body_is_estimated_within_its_error(tmp_path):
 
 # ------------------------------------------------------------------------------------------------------------------- descriptions
 def test_floating_robot_has_coordinates_and_no_tilt_or_friction(quadrotor, model):
+    assert "its tilt, friction of its free joint" in quadrotor.notes[0]
     assert quadrotor.channels == COORDINATES and quadrotor.sites("actuator") == ("r1", "r2", "r3", "r4")
     names = {placed.effect.name for placed in model.placed}
     assert names >= {"body_mass", "com_offset", "servo_gain", "thrust_loss", "thruster_lag", "steady_wind", "torque_offset"}
@@ -168,6 +182,11 @@ def test_pose_is_guessed_from_names_that_say_each_part(style):
     assert any("qw of the base" in row for row in found.rows())
 
 
+def test_columns_that_are_named_as_thrusters_are_their_commands():
+    found = guess_columns(["t", *POSE, "thrust1", "thrust2"], (), ("thrust1", "thrust2"), True, free=True)
+    assert [c.column for c in found.actuator.values()] == ["thrust1", "thrust2"]
+
+
 def test_pose_of_numbers_or_none_is_left_to_a_map():
     """Numbers do not say whether w is first."""
     with pytest.raises(LogError, match="commands of the actuators"):
@@ -206,10 +225,17 @@ def test_joints_are_read_at_the_stamps_of_the_pose(tmp_path):
     path.write_text(text)
     t, seen = 0.002 * np.arange(600), np.arange(600) % 5 == 0
     pose = {p: np.where(seen, float(p == "qw"), np.nan) for p in POSE}
-    np.savez(tmp_path / "log.npz", t=t, pos_knee=np.sin(t), **{f"cmd_r{k}": 0.1 * t for k in range(1, 5)}, **pose)
+    np.savez(
+        tmp_path / "log.npz",
+        t=t,
+        pos_knee=np.where(t < 0.8, np.sin(t), np.nan),
+        **{f"cmd_r{k}": 0.1 * t for k in range(1, 5)},
+        **pose,
+    )
     robot = read_robot(path)
     assert robot.channels == (*COORDINATES, "knee")
     (record,) = records_of(robot, tmp_path / "log.npz")
+    assert record.joint.t[-1] < 0.8  # no pose is taken where the encoders are silent
     np.testing.assert_allclose(np.diff(record.joint.t), 0.01)
     np.testing.assert_allclose(record.joint.values[:, 6], np.sin(record.joint.t), atol=1e-4)
 
@@ -328,6 +354,16 @@ def test_mistake_in_a_pose_is_named_with_its_remedy(what, quadrotor, records):
     assert any(what in m.what for m in mistakes(quadrotor, thinned(wrong, 4)))
 
 
+def test_base_that_was_held_is_refused_by_its_free_joint(quadrotor, records):
+    rng = np.random.default_rng(0)
+    still = lambda r: r.joint._replace(values=np.tile([0.1, 0.0, 1.0, 0.0, 0.0, 0.0], (len(r.joint.t), 1)))
+    noisy = lambda r: turned(r.turns[:1], 1e-3 * rng.standard_normal((len(r.turns), 3)))
+    held = [r._replace(joint=still(r), turns=noisy(r)) for r in records]
+    with pytest.raises(LogError, match="weld it in the model"):
+        refuse_mistakes(quadrotor, held)
+    refuse_mistakes(quadrotor, thinned(records, 4))
+
+
 def test_exchanged_rotors_are_named(quadrotor, records):
     wrong = [r._replace(commands=r.commands[:, [2, 0, 1, 3]]) for r in records]
     with pytest.raises(LogError, match=r"r1 = that of r2, r2 = that of r3, r3 = that of r1.*times better.*--columns"):
@@ -397,3 +433,12 @@ def test_quadrotors_of_the_benchmark_carry_their_own_effects(tmp_path):
     assert row["joints"] == 0 and row["visible"]["thrust_loss"] > 5.0
     log = np.load(tmp_path / row["id"] / "logs" / "log1.npz")
     assert {"t", *POSE, "cmd_r1", "cmd_r2", "cmd_r3", "cmd_r4"} == set(log) and abs(np.mean(log["z"])) < 1.0
+
+
+@pytest.mark.slow
+def test_search_names_the_hidden_centre_of_a_quadrotor(tmp_path):
+    case = robot_cases.RobotCase("one", "single", "mujoco", QUADROTOR, ("com_offset",), 12)
+    row = robot_rows.judge_set(tmp_path, robot_cases.make_set(tmp_path, case))
+    assert row["answer"] == "NAMED" and [e["name"] for e in row["said"]] == ["com_offset@b1"]
+    truth, found = row["truth"]["com_offset@b1"], row["said"][0]["values"]
+    assert np.hypot(truth["x"] - found["x"][0], truth["y"] - found["y"][0]) < 0.002

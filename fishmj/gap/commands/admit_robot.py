@@ -33,6 +33,7 @@ TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "ha
 OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
 STILL = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
 MOST_ORDERS = 4  # thrusters of which every order is tried; of more, each pair exchanged
+STILL, TURNED, NOISE = 2e-3, 5e-3, 8.0  # m and rad that a held base moves at most, beyond deviations of its noise
 JUMP = 1.5  # rad from one reading to the next
 
 
@@ -60,11 +61,26 @@ def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], any
     """
     for doubt in doubts(robot, records):
         console.warn(doubt)
+    if robot.base and is_held(records):
+        held = "the base stands still in every log, and the model's floats"
+        if not anyway:
+            raise LogError(f"{held}: if it was held, weld it in the model (no free joint); if it hovers that well, --anyway")
+        console.warn(held)
     found = mistakes(robot, records)
     if found and not anyway:
         raise LogError(f"{found[0].text}. If the logs are right, go on with --anyway")
     for mistake in found:
         console.warn(mistake.text)
+
+
+def is_held(records: Sequence[RobotRecord]) -> bool:
+    """Returns True if a free base neither moves by STILL nor turns by TURNED in any log."""
+    for r in records:
+        way = np.ptp(r.joint.values[:, :3], 0).max()
+        turn = np.linalg.norm(rotation_vector(r.turns, r.turns[:1]), axis=-1).max()
+        if way > STILL + NOISE * r.joint.sigma[:3].max() or turn > TURNED + NOISE * r.joint.sigma[3:6].max():
+            return False
+    return True
 
 
 def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:

@@ -250,6 +250,8 @@ def read_robot(path: Path) -> RobotDescription:
         actuator.delay, actuator.nsample = 0.0, 0
     for joint in working.joints:
         joint.userdata = []
+    for body in working.bodies[1:]:
+        body.simple = 0  # a body with its centre at its frame may get another
     working.nuser_jnt, working.nuserdata = joint_laws.width(), joint_laws.remembered(len(working.joints))
     m = working.compile()
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
@@ -264,6 +266,8 @@ def read_robot(path: Path) -> RobotDescription:
     names = tuple(name_of(m, "actuator", a) for a in range(m.nu))
     base = next((FreeBase(bodies[j], dofs[j], places[j]) for j in range(m.njnt) if m.jnt_type[j] == FREE), None)
     thrusters = {names[a]: a for a in range(m.nu) if on_site[a]}
+    if base:
+        notes.append(f"the base of {path.name} floats: its tilt, friction of its free joint and contacts are in no question")
     if twice := {j.name for j in joints} & {*thrusters, *(COORDINATES if base else ())}:
         what = "a joint and a thruster, or a joint and a coordinate of the free base, share it; rename the joint"
         raise ConfigError(f"{path}: the name {min(twice)}: {what}")

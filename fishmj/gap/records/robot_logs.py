@@ -57,6 +57,7 @@ POSE = (*PLACE, *QUATERNION)
 PLACED = {"pos", "position", "base", "pose", "p", "translation", "mocap", "location"}
 TURNED = {"q", "quat", "quaternion", "orientation", "rot", "rotation", "att", "attitude"}
 TWIST = {"v", "twist", "linear", "angular", "gyro", "omega", "covariance"}
+BLIND = 0.1  # s without a joint's reading, in which no pose is taken
 PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
 SLOWEST = 0.4  # s from row to row; a larger step is in another unit
 LARGEST, FASTEST, OVER = 60.0, 50.0, 0.02  # rad; rad/s over so many s: a joint beyond either is not in rad
@@ -141,7 +142,10 @@ def guess_columns(
     moves, asks = ("angle", "length"), ("torque", "force") if torques else ("angle", "length")
     fits = lambda kinds: {n: measures(unit[n]) in ("", *kinds) for n in names}
     measured = _best("positions of the joints", "joint", fits(moves), joints, lambda w: _position_score(w)) if joints else {}
-    asked = _best("commands of the actuators", "actuator", fits(asks), actuators, lambda w: _command_score(w, torques))
+    if set(actuators) <= set(names) - set(joints):  # thrusters under their own names
+        asked = {name: name for name in actuators}
+    else:
+        asked = _best("commands of the actuators", "actuator", fits(asks), actuators, lambda w: _command_score(w, torques))
     return RobotColumns(
         _stamp(names, unit),
         {name: Column(column=c, unit="" if unit[c] in ("rad", "m") else unit[c]) for name, c in measured.items()},
@@ -382,10 +386,14 @@ def _posed(table: LogTable, columns: RobotColumns, joint: dict | None) -> dict[s
     if len(t) < 2 or not np.all(np.diff(t) > 0):
         raise LogError(f"{table.where}: fewer than two rows have the base's pose, or their stamps do not rise; sort the rows")
     pose[:, 3:] = unit_quaternions(pose[:, 3:], table.where)
-    out = {"t": t, **dict(zip(POSE, pose.T, strict=True))}
     if joint is None:
-        return out
-    return out | {name: np.interp(t, joint["t"], values) for name, values in joint.items() if name != "t"}
+        return {"t": t, **dict(zip(POSE, pose.T, strict=True))}
+    stamps = joint["t"]
+    after = np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1)
+    known = (t >= stamps[0]) & (t <= stamps[-1]) & (stamps[after] - stamps[after - 1] <= BLIND)
+    t, pose = t[known], pose[known]
+    own = {name: np.interp(t, stamps, values) for name, values in joint.items() if name != "t"}
+    return {"t": t, **dict(zip(POSE, pose.T, strict=True)), **own}
 
 
 def in_parts(log: Trial) -> list[Trial]:

@@ -10,7 +10,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden
 from fishmj.gap.laboratory.articulated.plant_laws import FreeBodyLaws
@@ -105,18 +104,18 @@ class FlownPinocchio:
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
         """One step."""
-        h, turn = self.h, Rotation.from_quat(self.q[3:], scalar_first=True)
+        h, turn = self.h, self.pin.Quaternion(*self.q[3:]).matrix()  # of the body in the world
         thrust = np.clip(self.gain * self.lag.at(u) + self.offset, 0.0, self.limit)
         given = push + self.laws.wrench(self.q, self.t)
-        force = turn.inv().apply(given[:3]) + [0.0, 0.0, thrust.sum()]
+        force = turn.T @ given[:3] + [0.0, 0.0, thrust.sum()]
         torque = given[3:] + self.lever @ thrust
         if self.plan.density:
-            drag = box_drag(self.plan, turn.inv().apply(self.v[:3] - self.plan.wind), self.v[3:])
+            drag = box_drag(self.plan, turn.T @ (self.v[:3] - self.plan.wind), self.v[3:])
             force, torque = force + drag[0], torque + np.cross(self.plan.limbs[0].centre, drag[0]) + drag[1]
-        q = np.concatenate([self.q[:3], np.roll(self.q[3:], -1)])
-        v = np.concatenate([turn.inv().apply(self.v[:3]), self.v[3:]])  # of the body, in the body
+        q = self.q[[0, 1, 2, 4, 5, 6, 3]]
+        v = np.concatenate([turn.T @ self.v[:3], self.v[3:]])  # of the body, in the body
         v += h * self.pin.aba(self.m, self.d, q, v, np.concatenate([force, torque]))
         after = self.pin.integrate(self.m, q, h * v)
-        self.q = np.concatenate([after[:3], np.roll(after[3:], 1)])
-        self.v = np.concatenate([Rotation.from_quat(after[3:]).apply(v[:3]), v[3:]])
+        self.q = after[[0, 1, 2, 6, 3, 4, 5]]
+        self.v = np.concatenate([self.pin.Quaternion(*self.q[3:]).matrix() @ v[:3], v[3:]])
         self.t += h
