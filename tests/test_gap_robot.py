@@ -12,7 +12,7 @@ from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.commands import check, find, reported
 from fishmj.gap.commands.apply_robot import apply_robot, changed, next_version
 from fishmj.gap.commands.find_robot import by_effect, digest, place_of, robot_gates
-from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.null.robot_null import RobotNull
@@ -325,26 +325,6 @@ def test_servo_effect_is_the_edited_servo(name, tmp_path):
         row[model.index(name, parameter)] = value
     without, with_it = misfit(model, [record], model.null), misfit(model, [record], row)
     assert with_it[0] < min(0.005, without[0] / 3.0), (without, with_it)
-
-
-def test_controllers_damping_is_no_better_known_than_its_gain(tmp_path):
-    """A ratio of both that is a per cent off was named on a healthy robot."""
-    path = tmp_path / "servo.xml"
-    path.write_text(SERVO)
-    robot = read_robot(path)
-    model = RigidRobot(robot, RobotSizes(*np.ones((3, 1))))
-    sigma = {c.name: c.sigma for c in model.constants}
-    assert sigma["damping_gain@hip"] == sigma["gain@hip"] > 0.0
-    row = model.null
-    row[list(sigma).index("damping_gain@hip")] = 1.1
-    np.testing.assert_allclose(model.model(row).actuator_biasprm[0, :3], (0.0, -8.0, -0.33))
-    assert "damping_gain@elbow" not in {c.name for c in arm_constants(tmp_path)}
-
-
-def arm_constants(folder):
-    """Constants of the arm, whose motors have no controller."""
-    (folder / "arm.xml").write_text(ARM)
-    return RigidRobot(read_robot(folder / "arm.xml"), RobotSizes(*np.ones((3, 2)))).constants
 
 
 def test_column_of_a_position_servo_is_a_position():
