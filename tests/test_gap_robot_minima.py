@@ -1,15 +1,15 @@
-"""The fit of all effects of a robot from several starts, and rivals by their likelihood. All logs are *synthetic*."""
+"""Fit of all effects of a robot from several starts, rivals by their likelihood, constants of a servo. Logs are *synthetic*."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from robot_arm import ARM, edited, write_logs
-from test_gap_robot import records_of
+from test_gap_robot import SERVO, records_of
 
 from fishmj import effects
 from fishmj.gap.decide.decide import near_in_likelihood
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes, sizes_of
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
@@ -70,3 +70,23 @@ def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():
     assert near_in_likelihood(found(robot), "payload@b2") == {"com_offset@b2"}
     assert near_in_likelihood(found(robot), "body_mass@b2") == set()
     assert near_in_likelihood(found(fish), "payload@b2") == set()
+
+
+def test_controllers_damping_is_no_better_known_than_its_gain(tmp_path):
+    """A ratio of both that is a per cent off was named on a healthy robot."""
+    path = tmp_path / "servo.xml"
+    path.write_text(SERVO)
+    robot = read_robot(path)
+    model = RigidRobot(robot, RobotSizes(*np.ones((3, 1))))
+    sigma = {c.name: c.sigma for c in model.constants}
+    assert sigma["damping_gain@hip"] == sigma["gain@hip"] > 0.0
+    row = model.null
+    row[list(sigma).index("damping_gain@hip")] = 1.1
+    np.testing.assert_allclose(model.model(row).actuator_biasprm[0, :3], (0.0, -8.0, -0.33))
+    assert "damping_gain@elbow" not in {c.name for c in arm_constants(tmp_path)}
+
+
+def arm_constants(folder):
+    """Constants of the arm, whose motors have no controller."""
+    (folder / "arm.xml").write_text(ARM)
+    return RigidRobot(read_robot(folder / "arm.xml"), RobotSizes(*np.ones((3, 2)))).constants

@@ -179,6 +179,9 @@ class RigidRobot(ParameterRow):
         for j in self.robot.joints:
             if j.actuator >= 0:
                 found.append((Constant(f"gain{AT}{j.name}", tolerance["gain"]), gain(j.actuator)))
+                if m.actuator_biasprm[j.actuator, 2] != 0.0:
+                    own = scaled("actuator_biasprm", (j.actuator, 2))
+                    found.append((Constant(f"damping_gain{AT}{j.name}", tolerance["gain"]), own))
             for field in ("dof_frictionloss", "dof_damping"):
                 if getattr(m, field)[j.dof] > 0:
                     found.append((Constant(f"{field[4:]}{AT}{j.name}", tolerance["friction"]), scaled(field, j.dof)))

@@ -132,8 +132,8 @@ class RobotKernel:
         joint[:, :, at["ARMATURE"]], joint[:, :, at["DAMPING"]] = every("dof_armature"), every("dof_damping")
         joint[:, :, at["DAMPING"] + 1 : at["DAMPING"] + 3] = every("dof_dampingpoly")
         joint[:, :, at["STIFF"]], joint[:, :, at["STIFF"] + 1] = every("jnt_stiffness"), every("qpos_spring")
-        constraint = every("dof_solref"), every("dof_solimp"), every("dof_invweight0")
-        soft, back = _friction_constraint(*constraint, option("timestep")[:, None])
+        reference, impedance, weight = (every(f"dof_{name}") for name in ("solref", "solimp", "invweight0"))
+        soft, back = _friction_constraint(reference, impedance, weight, option("timestep")[:, None])
         joint[:, :, at["RUB"]], joint[:, :, at["RUB"] + 1], joint[:, :, at["RUB"] + 2] = every("dof_frictionloss"), soft, back
         limited, ranges, margin = every("jnt_limited") > 0, every("jnt_range"), every("jnt_margin")
         joint[:, :, at["LOW"]] = np.where(limited, ranges[..., 0] + margin, -np.inf)

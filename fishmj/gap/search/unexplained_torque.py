@@ -1,7 +1,7 @@
 """Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
 
     all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again .. while likelier
-    from none, and from each of the best few single effects; the likeliest of all
+    from none, and from the best single effect of each of the best few sites; the likeliest of all
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
@@ -67,11 +67,17 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
 
 
 def _best_single(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> list[np.ndarray]:
-    """Rows with one of the best few effects at a finite size: play, a limit or a period has no slope where it is not there."""
+    """Rows with the best effect of each of the best few sites, at a finite size.
+
+    Play, a limit or a period has no slope where it is not there; effects at one site lead to the same minimum.
+    """
     base = fit.at(row)
     waves = [x for x in effects if any(p.fine and p.shape for p in x.parameters)]
     found = fit.screen(base, effects, fit.grid_search(base, waves)) if effects else []
-    return [c.row for c in found[: thresholds().torques.starts] if c.cost < base.cost]
+    best: dict[str, np.ndarray] = {}
+    for c in (c for c in found if c.cost < base.cost):
+        best.setdefault(c.names[-1].partition("@")[2], c.row)
+    return list(best.values())[: thresholds().torques.starts]
 
 
 def descend(fit: TorqueFit, fits: int, steps: int, chord: bool = True) -> TorqueFit:
