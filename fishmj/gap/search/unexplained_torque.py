@@ -145,7 +145,8 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     """
     model = e.model
     limits = thresholds().torques
-    before, after = torques(e, model.null), torques(e, row)
+    # a torque moves a joint as the model of that row lets it: a joint that friction holds would need many times as much
+    before, after = (torques(e.with_record_errors(model.with_errors(model.torque_error, of)), of) for of in (model.null, row))
     told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
     verdict = replace(verdict, gates=told)
     allowed = limits.allowed * model.torque_tolerance
