@@ -16,9 +16,10 @@ from fishmj.gap.laboratory.articulated.flown_faults import FLOWN, with_faults
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco, FlownPinocchio, box_drag
 from fishmj.gap.laboratory.articulated.flown_stand import FlownStand, fly, references
 from fishmj.gap.laboratory.articulated.robot_plan import QUADROTOR, draw_plan, mjcf
-from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
+from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
 from fishmj.gap.records.attitude import COORDINATES, quaternion_rate, rotation_vector, turned
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_columns, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records, thinned

@@ -14,9 +14,10 @@ from fishmj.gap.commands import check, find, reported
 from fishmj.gap.commands.apply_robot import apply_robot, changed, next_version
 from fishmj.gap.commands.check_robot import compare, printed_lines
 from fishmj.gap.commands.find_robot import by_effect, digest, place_of, robot_gates, without_stand_in
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
+from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_columns, read_robot_logs, read_sheet

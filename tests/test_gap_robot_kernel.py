@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from fishmj.gap.models import joint_laws, robot_kernel
-from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.models.robot_sizes import RobotSizes
 
 pytest.importorskip("numba")
 STEPS, ROLLOUTS = 120, 20

@@ -12,8 +12,9 @@ from test_gap_robot import misfit, named, records_of, search_among, verdict_of
 
 from fishmj.gap.commands.apply_robot import apply_robot
 from fishmj.gap.models import joint_laws
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.models.robot_sizes import sizes_of
 
 pytest.importorskip("numba")
 LIMIT = 0.5  # N m, of the elbow's motor

@@ -9,8 +9,9 @@ from test_gap_robot import SERVO, records_of
 
 from fishmj import effects
 from fishmj.gap.decide.decide import near_in_likelihood
-from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search.fit import bounds

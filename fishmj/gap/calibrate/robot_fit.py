@@ -15,8 +15,9 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.parameter_fit import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
-from fishmj.gap.models.rigid_robot import AT, RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import AT, RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout

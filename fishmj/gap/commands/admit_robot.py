@@ -18,8 +18,9 @@ import numpy as np
 from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import LogError
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.records.attitude import quaternion_rate, rotation_vector
 from fishmj.gap.records.shooting import RobotRecord, thinned
 from fishmj.gap.wording import number

@@ -18,8 +18,9 @@ from fishmj.gap import progress
 from fishmj.gap.commands import reported
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, refuse_fish_options
-from fishmj.gap.models.rigid_robot import RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
+from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.robot_logs import log_files, read_robot_logs

@@ -16,8 +16,9 @@ from fishmj.base.store import write_json
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
-from fishmj.gap.models.rigid_robot import AT, RigidRobot, sizes_of
+from fishmj.gap.models.rigid_robot import AT, RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
+from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.models.search_step import coarsest
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import (

@@ -24,9 +24,10 @@ from fishmj.gap import progress
 from fishmj.gap.commands import reported
 from fishmj.gap.commands.find_robot import digest, read_logs, refuse_fish_options
 from fishmj.gap.experiment import ENOUGH, OPEN
-from fishmj.gap.models.rigid_robot import AT, RigidRobot, RobotSizes, sizes_of
+from fishmj.gap.models.rigid_robot import AT, RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, is_robot, read_robot
 from fishmj.gap.models.robot_excitation import FAMILIES, RobotExperiment, rest_of, safe_experiments
+from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
 from fishmj.gap.null.whitening import residual_and_tangents, whitening
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import RobotRecord, robot_record, robot_records, thinned

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fishmj.gap.models.rigid_robot import RigidRobot, RobotSizes
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.robot_sizes import RobotSizes
 from fishmj.gap.records.shooting import RobotRecord, assumed, thinned
 
 
