@@ -1,7 +1,6 @@
 """`gap find LOGS --model robot.xml`: descriptions, logs, effects and patches of robots in MJCF. All logs are *synthetic*."""
 
 import json
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -12,8 +11,7 @@ from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.commands import check, find, reported
 from fishmj.gap.commands.apply_robot import apply_robot, changed, next_version
-from fishmj.gap.commands.check_robot import compare, printed_lines
-from fishmj.gap.commands.find_robot import by_effect, digest, place_of, robot_gates, without_stand_in
+from fishmj.gap.commands.find_robot import by_effect, digest, place_of, robot_gates
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
@@ -24,7 +22,6 @@ from fishmj.gap.records.robot_logs import guess_columns, log_files, read_columns
 from fishmj.gap.records.shooting import robot_record, robot_records, thinned
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.unexplained_torque import with_measured_errors
-from fishmj.gap.verdict import NamedEffect, Value, Verdict
 from fishmj.gap.workflow import investigate
 
 pytest.importorskip("numba")
@@ -389,30 +386,6 @@ def test_apply_takes_the_certain_part_of_a_class(arm, tmp_path):
     assert told["gap_before"] is None and "without viscous friction at shoulder, not certain" in told["reason"]
     assert again.dof_frictionloss.tolist() == [0.0, 0.06]
     np.testing.assert_array_equal(again.dof_damping, arm.model.dof_damping)
-
-
-@pytest.mark.parametrize(
-    ("place", "answer", "stiff"),
-    [("elbow", "UNEXPLAINED", None), ("shoulder", "CLASS", "NAMED")],
-)
-def test_effect_beside_one_without_a_believable_value_at_its_joint_is_not_named(place, answer, stiff):
-    """A ripple whose period lies on its bound, and a stiffness that was fitted beside it."""
-    found = NamedEffect("torque_ripple@elbow", {"period": Value(1.6, "rad", 1.0, 1.6)}, 1.0, 1.0)
-    beside = NamedEffect(f"joint_stiffness@{place}", {"stiffness": Value(0.67, "N m/rad", 0.5, 0.8)}, 1.0, 1.0)
-    warnings = ("torque ripple at elbow: period = 91.7 deg lies on its bound", "torques of 0.05 N m at elbow are left")
-    v = without_stand_in(Verdict("CLASS", effects=(found, beside), warnings=warnings))
-    assert v.answer == answer and by_effect(v).get(beside.name) == stiff and by_effect(v).get(found.name) in (None, "CLASS")
-    rival = {"name": "joint_scale@elbow", "p_best": 0.3, "instead_of": found.name}
-    assert without_stand_in(replace(v, answer="CLASS", rivals=(rival,))).answer == "CLASS"
-
-
-def test_version_that_leaves_a_gap_is_told_so(arm, records):
-    stiff = mujoco.MjSpec.from_string(ARM)
-    stiff.joint("elbow").frictionloss = 5.0
-    parent = replace(arm, model=stiff.compile())
-    told = compare(parent, parent, records)
-    assert told["left"].startswith("gap ") and "tolerances and noise" in told["left"]
-    assert "RMS [rad, m]" in "\n".join(printed_lines(told | {"same_data": False, "logs": ["a"]}))
 
 
 def test_logs_with_contact_are_refused(folder, records, tmp_path):

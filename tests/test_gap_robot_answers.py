@@ -1,0 +1,46 @@
+"""Answers about a robot in MJCF: what may be called named, and what `gap check` says of a gap that is left. All is *synthetic*."""
+
+from dataclasses import replace
+
+import mujoco
+import pytest
+from robot_arm import ARM, write_logs
+
+from fishmj.gap.commands.check_robot import compare, printed_lines
+from fishmj.gap.commands.find_robot import by_effect, without_stand_in
+from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
+from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.verdict import NamedEffect, Value, Verdict
+
+pytest.importorskip("numba")
+
+
+@pytest.mark.parametrize(
+    ("place", "answer", "stiff"),
+    [("elbow", "UNEXPLAINED", None), ("shoulder", "CLASS", "NAMED")],
+)
+def test_effect_beside_one_without_a_believable_value_at_its_joint_is_not_named(place, answer, stiff):
+    """A ripple whose period lies on its bound, and a stiffness that was fitted beside it."""
+    found = NamedEffect("torque_ripple@elbow", {"period": Value(1.6, "rad", 1.0, 1.6)}, 1.0, 1.0)
+    beside = NamedEffect(f"joint_stiffness@{place}", {"stiffness": Value(0.67, "N m/rad", 0.5, 0.8)}, 1.0, 1.0)
+    warnings = ("torque ripple at elbow: period = 91.7 deg lies on its bound", "torques of 0.05 N m at elbow are left")
+    v = without_stand_in(Verdict("CLASS", effects=(found, beside), warnings=warnings))
+    assert v.answer == answer and by_effect(v).get(beside.name) == stiff and by_effect(v).get(found.name) in (None, "CLASS")
+    rival = {"name": "joint_scale@elbow", "p_best": 0.3, "instead_of": found.name}
+    assert without_stand_in(replace(v, answer="CLASS", rivals=(rival,))).answer == "CLASS"
+
+
+def test_version_that_leaves_a_gap_is_told_so(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(ARM)
+    arm = read_robot(path)
+    files = log_files(write_logs(tmp_path / "healthy", ARM, logs=2, seconds=2.6))
+    columns = guess_columns(list(read_sheet(files[0]).columns), arm.sites("joint"), arm.actuators, torques=True)
+    records = robot_records(read_robot_logs(files, columns)[0], arm.dt, arm.channels)
+    stiff = mujoco.MjSpec.from_string(ARM)
+    stiff.joint("elbow").frictionloss = 5.0
+    parent = replace(arm, model=stiff.compile())
+    told = compare(parent, parent, records)
+    assert told["left"].startswith("gap ") and "tolerances and noise" in told["left"]
+    assert "RMS [rad, m]" in "\n".join(printed_lines(told | {"same_data": False, "logs": ["a"]}))
