@@ -1,4 +1,4 @@
-"""Answers about a robot in MJCF: what may be called named, and what `gap check` says of a gap that is left. All is *synthetic*."""
+"""Answers about a robot in MJCF: what may be called named, and what `gap check` says is left. All is *synthetic*."""
 
 from dataclasses import replace
 
