@@ -78,7 +78,7 @@ def test_controllers_damping_is_no_better_known_than_its_gain(tmp_path):
     path = tmp_path / "servo.xml"
     path.write_text(SERVO)
     robot = read_robot(path)
-    model = RigidRobot(robot, RobotSizes(*np.ones((3, 1))))
+    model = RigidRobot(robot, RobotSizes(*np.ones((4, 1))))
     sigma = {c.name: c.sigma for c in model.constants}
     assert sigma["damping_gain@hip"] == sigma["gain@hip"] > 0.0
     row = model.null
@@ -90,4 +90,4 @@ def test_controllers_damping_is_no_better_known_than_its_gain(tmp_path):
 def arm_constants(folder):
     """Constants of the arm, whose motors have no controller."""
     (folder / "arm.xml").write_text(ARM)
-    return RigidRobot(read_robot(folder / "arm.xml"), RobotSizes(*np.ones((3, 2)))).constants
+    return RigidRobot(read_robot(folder / "arm.xml"), RobotSizes(*np.ones((4, 2)))).constants
