@@ -1,6 +1,5 @@
 """Drag, lift and shedding of a cylinder of your choice in the flow solver, and how far to trust the drag.
 
-    python examples/cylinder.py
     python examples/cylinder.py --diameter 0.02 --re 60 --study --out runs/cylinder
 
 The literature has C_D = 1.33 to 1.35 at Re 100; `--box 40 40 16` gives 1.34. `--study` takes three grids and prints the observed
