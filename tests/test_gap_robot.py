@@ -467,7 +467,7 @@ def test_search_names_the_hidden_friction(sticky):
     assert v.answer == "NAMED" and [e.name for e in v.effects] == ["coulomb_friction@elbow"], v.text()
     found = v.effects[0].parameters["torque"]
     assert found.low <= 0.06 <= found.high and by_effect(v) == {"coulomb_friction@elbow": "NAMED"}
-    before, after = v.gates["torques"]["elbow"]  # each by the model of its own row: the friction, and the noise of an encoder
+    before, after = v.gates["torques"]["elbow"]  # the friction, and the noise of an encoder
     assert after < 0.005 and 0.03 < before < 0.07
 
 

@@ -145,12 +145,14 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     """
     model = e.model
     limits = thresholds().torques
-    # a torque moves a joint as the model of that row lets it: a joint that friction holds would need many times as much
-    before, after = (torques(e.with_record_errors(model.with_errors(model.torque_error, of)), of) for of in (model.null, row))
-    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
+    before, after = torques(e, model.null), torques(e, row)
+    # Sizes are those of the description: where the found friction holds a joint, any torque seems larger than it is.
+    plain = e.with_record_errors(model.with_errors(model.torque_error, model.null))
+    first, last = torques(plain, model.null), torques(plain, row)
+    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, first, last, strict=True)}}
     verdict = replace(verdict, gates=told)
     allowed = limits.allowed * model.torque_tolerance
-    left = {n: x for n, x, most in zip(names, after, allowed, strict=True) if x > most}
+    left = {n: x for n, x, most in zip(names, last, allowed, strict=True) if x > most}
     if not left or verdict.answer not in ("AGREES", "NAMED", "CLASS"):
         return verdict
     words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
