@@ -16,7 +16,7 @@ from fishmj.base.store import write_json
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
-from fishmj.gap.models.rigid_robot import AT, RigidRobot
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.models.search_step import coarsest
@@ -184,11 +184,10 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
 
 
 def doubted(verdict: Verdict) -> set[str]:
-    """Effects of an answer with a rival or a value that is not believable, and those fitted beside one at the same site."""
-    out = {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
-    out |= {e.name for e in verdict.effects for w in verdict.warnings if w.startswith(f"{title(e.name)}: ")}
-    places = {name.partition(AT)[2] for name in out}
-    return out | {e.name for e in verdict.effects if e.name.partition(AT)[2] in places}
+    """Effects of an answer with a rival; all of them where one has a value that is not believable: another may stand in, too."""
+    if any(w.startswith(f"{title(e.name)}: ") for e in verdict.effects for w in verdict.warnings):
+        return {e.name for e in verdict.effects}
+    return {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
 
 
 def by_effect(verdict: Verdict) -> dict[str, str]:
@@ -200,9 +199,8 @@ def by_effect(verdict: Verdict) -> dict[str, str]:
 
 
 def without_stand_in(verdict: Verdict) -> Verdict:
-    """The verdict, UNEXPLAINED where its effects have no rival and none of them has a value to believe: no class of one."""
-    alone = verdict.answer == "CLASS" and not verdict.rivals and all(e.p_best >= frozen().p_best for e in verdict.effects)
-    if not alone or doubted(verdict) < {e.name for e in verdict.effects}:
+    """The verdict, UNEXPLAINED where no effect has a rival and one has a value that is not believable: no class of one."""
+    if verdict.answer != "CLASS" or verdict.rivals or any(e.p_best < frozen().p_best for e in verdict.effects):
         return verdict
     why = "the best of the catalogue would need a value that is not believable: it stands in for something else; it is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
