@@ -218,6 +218,24 @@ def test_no_threshold_of_the_search_stands_in_code():
     assert constants("A = 0.5\nB, C = 6, -3.0\nD: float = 1e-3\nE = 3\nf = 0.1") == ["A", "B", "C", "D"]
 
 
+def doubles(text: str) -> list[str]:
+    """Names that a module gives a value twice: the second one takes the place of the first without a word."""
+    found = defaultdict(int)
+    for node in ast.parse(text).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        for target in targets:
+            for name in target.elts if isinstance(target, ast.Tuple) else [target]:
+                if isinstance(name, ast.Name) and name.id != "_":
+                    found[name.id] += 1
+    return [name for name, count in found.items() if count > 1]
+
+
+def test_no_module_gives_a_name_two_values():
+    assert doubles("A = 1\nB, C = 2, 3\nA: int = 4\n_ = 5\n_ = 6\nC |= 1") == ["A"]
+    found = {str(path.relative_to(ROOT)): doubles(path.read_text(encoding="utf-8")) for path in CODE}
+    assert {name: twice for name, twice in found.items() if twice} == {}
+
+
 def test_files_are_small():
     lines = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in CODE}
     long = [f"{name}: {count} lines" for name, count in lines.items() if count > LIMIT and not LONGER.get(name)]

@@ -32,7 +32,7 @@ PROBED = 16  # segments
 SHIFTS = (-0.5, -0.4, -0.3, -0.2, -0.15, -0.1, -0.06, -0.03, 0.25, 0.3, 0.4, 0.5)
 TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
 OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
-STILL = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
+UNMOVED = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
 MOST_ORDERS = 4  # thrusters of which every order is tried; of more, each pair exchanged
 STILL, TURNED, NOISE = 2e-3, 5e-3, 8.0  # m and rad that a held base moves at most, beyond deviations of its noise
 JUMP = 1.5  # rad from one reading to the next
@@ -122,13 +122,13 @@ def mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mi
 def _mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
     few = thinned(list(records), PROBED)
     model = RigidRobot(robot, sizes_of(robot, few), [effects.robot_catalogue()["command_latency"]])
-    still, plain = np.maximum(_error(few, None), STILL), _error(few, model)
+    still, plain = np.maximum(_error(few, None), UNMOVED), _error(few, model)
     if np.mean(plain / still) < CLOSE:
         return []
     found = []
     for what, remedy, changed in undone(robot, few):
         found.append(
-            Mistake(what, remedy, _ratio(plain / still, _error(changed, model) / np.maximum(_error(changed, None), STILL)))
+            Mistake(what, remedy, _ratio(plain / still, _error(changed, model) / np.maximum(_error(changed, None), UNMOVED)))
         )
     rows = np.tile(model.null, (len(SHIFTS), 1))
     rows[:, model.index("command_latency", "delay")] = SHIFTS
