@@ -4,7 +4,7 @@ import sys
 
 from fishmj import effects
 from fishmj.base import console
-from fishmj.effects.effect import Effect, Parameter
+from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
 def rows(chosen) -> list[dict]:
@@ -25,15 +25,14 @@ def rows(chosen) -> list[dict]:
 
 def robot_rows(chosen) -> list[dict]:
     """One table row an effect of a robot in MJCF: at each of its sites of a kind."""
-    forms = [(e, e.robot) for e in chosen if e.robot is not None]
     return [
         {
             "effect": e.name,
-            "at each": form.site,
+            "at each": e.robot.site,
             "formula": e.formula,
-            "parameters": ", ".join(p.name for p in form.parameters),
+            "parameters": ", ".join(p.name for p in e.robot.parameters),
         }
-        for e, form in forms
+        for e in chosen
     ]
 
 
@@ -48,7 +47,7 @@ def record(e: Effect) -> dict:
             {key: getattr(p, key) for key in ("name", "unit", "null", "low", "high", "typical", "signed", "shape", "about")}
             for p in e.parameters
         ],
-        "confusions": [{"other": c.other, "separates": c.separates, "excitations": c.excitations} for c in e.confusions],
+        "confusions": [{"other": c.other, "separates": c.separates, "excitations": c.excitations} for c in alike(e)],
     }
 
 
@@ -60,6 +59,11 @@ def enters(e: Effect) -> str:
     return "; ".join(ways) + (f"; MuJoCo: {e.native}" if e.native else "")
 
 
+def alike(e: Effect) -> tuple[Confusion, ...]:
+    """Effects with a similar signature: of a fish, or of a robot in MJCF for an effect that only such robots have."""
+    return e.confusions if e.swims or e.robot is None else e.robot.confusions
+
+
 def text(e: Effect) -> str:
     """Description of one effect in full."""
     lines = [f"{e.name} ({e.stage})", f"  {e.about}", f"  formula   {e.formula}", f"  source    {e.source}"]
@@ -68,9 +72,8 @@ def text(e: Effect) -> str:
         lines += [f"    {_parameter(p)}" for p in e.parameters]
     if e.robot is not None:
         lines.append(f"  a robot in MJCF: at each {e.robot.site}, {', '.join(p.name for p in e.robot.parameters)}")
-    confusions = e.confusions if e.swims else e.robot.confusions if e.robot else ()
-    lines += ["  looks like"] if confusions else []
-    for c in confusions:
+    lines += ["  looks like"] if alike(e) else []
+    for c in alike(e):
         runs = f" ({', '.join(c.excitations)})" if c.excitations else ""
         lines.append(f"    {c.other}: {c.separates}{runs}")
     return "\n".join(lines)
@@ -96,11 +99,9 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """Prints the table, or one effect. Returns the exit code."""
     args = options().parse_args(argv)
-    known = effects.robot_catalogue() if args.robot else effects.catalogue()
+    chosen = list((effects.robot_catalogue() if args.robot else effects.catalogue()).values())
     if args.name:  # of either kind: no name is of both with two meanings
         chosen = [effects.robot_catalogue().get(args.name) or effects.get(args.name)]
-    else:
-        chosen = list(known.values())
     if args.json:
         records = [record(e) for e in chosen]
         console.emit_json(records[0] if args.name else {"effects": records, "n": len(records)})
