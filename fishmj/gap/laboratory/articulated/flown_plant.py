@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden
+from fishmj.gap.laboratory.articulated.mujoco_plant import MujocoState
 from fishmj.gap.laboratory.articulated.plant_laws import FreeBodyLaws
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
 
@@ -30,30 +31,14 @@ class RotorLag:
         return self.now
 
 
-class FlownMujoco:
+class FlownMujoco(MujocoState):
     """MuJoCo's own free joint, sites and medium at another step and integrator than the model in question."""
 
     h = 0.001
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
-        self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit"))
-        self.d = mujoco.MjData(self.m)
+        super().__init__(mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit")))
         self.lag, self.laws = RotorLag(plan, self.h), FreeBodyLaws(hidden)
-
-    def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
-        """Sets pose, rates and time."""
-        mujoco.mj_resetData(self.m, self.d)
-        self.d.qpos[:], self.d.qvel[:], self.d.time = q, v, t
-
-    @property
-    def q(self) -> np.ndarray:
-        """(7,) pose."""
-        return self.d.qpos
-
-    @property
-    def v(self) -> np.ndarray:
-        """(6,) rates."""
-        return self.d.qvel
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
         """One step."""

@@ -5,6 +5,7 @@ plant.start(q, v); plant.step(u, push)   one step under delivered commands u (J,
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,34 +16,44 @@ from fishmj.gap.laboratory.articulated.plant_laws import JointLaws, JointMotors
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
 
 
-class MujocoPlant:
+class MujocoState:
+    """State of a plant in MuJoCo. m: MjModel."""
+
+    def __init__(self, m: Any):
+        self.m, self.d = m, mujoco.MjData(m)
+
+    def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
+        """Sets place, rates and time."""
+        mujoco.mj_resetData(self.m, self.d)
+        self.d.qpos[:], self.d.qvel[:], self.d.time = q, v, t
+
+    @property
+    def q(self) -> np.ndarray:
+        """Angles (J,), or the pose (7,) of a free body."""
+        return self.d.qpos
+
+    @property
+    def v(self) -> np.ndarray:
+        """Rates (J,), or (6,)."""
+        return self.d.qvel
+
+
+class MujocoPlant(MujocoState):
     """MuJoCo's own actuators, friction, armature, damping and medium; laws beyond them as applied torques."""
 
     h = 0.001
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
         self.plan, self.hidden = plan, hidden
-        self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit"))
-        self.d = mujoco.MjData(self.m)
+        super().__init__(mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicit")))
         self.dry = self.m.dof_frictionloss.copy()
         self.motors = JointMotors(plan)
         self.laws = JointLaws(plan, hidden)
 
     def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
         """Sets angles, rates and time."""
-        mujoco.mj_resetData(self.m, self.d)
-        self.d.qpos[:], self.d.qvel[:], self.d.time = q, v, t
+        super().start(q, v, t)
         self.laws = JointLaws(self.plan, self.hidden)
-
-    @property
-    def q(self) -> np.ndarray:
-        """(J,) angles."""
-        return self.d.qpos
-
-    @property
-    def v(self) -> np.ndarray:
-        """(J,) rates."""
-        return self.d.qvel
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
         """One step."""
@@ -68,8 +79,7 @@ class BamPlant(MujocoPlant):
 
     def __init__(self, plan: RobotPlan, hidden: Hidden, servos: Mapping[int, Mapping[str, float]]):
         self.plan, self.servos = plan, servos
-        self.m = mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicitfast", motors=True))
-        self.d = mujoco.MjData(self.m)
+        MujocoState.__init__(self, mujoco.MjModel.from_xml_string(mjcf(plan, self.h, "implicitfast", motors=True)))
         self.hidden = {name: values for name, values in hidden.items() if placed(name)[0] not in LAWS}
         self.laws = JointLaws(plan, self.hidden)
         self.kp, self.kv = plan.column("kp"), plan.column("kv")
