@@ -11,6 +11,7 @@ from fishmj.gap.commands.find_robot import by_effect, without_stand_in
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.report.sections import escape_text
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
 
 pytest.importorskip("numba")
@@ -29,6 +30,11 @@ def test_effect_beside_one_without_a_believable_value_is_not_named(place):
     assert v.answer == "CLASS" and set(by_effect(v).values()) == {"CLASS"}
     v = replace(v, warnings=warnings[1:])
     assert by_effect(v) == {found.name: "CLASS", beside.name: "NAMED"}
+
+
+def test_command_in_a_report_is_code_and_the_rest_is_text():
+    assert escape_text("run `fishmj gap apply`, <b>") == "run <code>fishmj gap apply</code>, &lt;b&gt;"
+    assert escape_text("`<script>` 5 ms") == "<code>&lt;script&gt;</code> 5\u00a0ms"
 
 
 def test_version_that_leaves_a_gap_is_told_so(tmp_path):

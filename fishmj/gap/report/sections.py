@@ -225,7 +225,7 @@ def records(m: ReportData) -> Section:
 def escape_text(text: str) -> Markup:
     """Escapes a text, marks `code` as code, and keeps units off the start of a line."""
     text = re.sub(r"(\d)%", r"\1 %", text)
-    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", pages.escaped(text))
+    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(pages.escaped(text)))  # of a Markup, re.sub would escape the tag, too
     return Markup(re.sub(r"(\d) (%|ms|s|deg|mm|W)\b", "\\1\u00a0\\2", text).replace(" %", "\u00a0%"))
 
 
