@@ -13,6 +13,7 @@ from fishmj import engines
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.episode import TaskOptions, TaskSpec
 
 LIMIT = constant("task", "episode_steps")
 ROUGH = dict(noise=1.0, turbulence="default", intensity=(0.02, 0.08))
@@ -59,6 +60,14 @@ def test_a_share_of_the_starts_is_at_the_target_and_the_others_fill_the_range(cr
     np.testing.assert_array_equal(state.fish.q, crowd.fish.q)
     with pytest.raises(ConfigError, match="at_target = 0.5 of the task figure_eight"):
         environment(at_target=0.5, course="figure_eight")
+
+
+def test_gymnasium_s_episodes_begin_at_the_target_as_often():
+    rules = TaskSpec("station_hold", TaskOptions(at_target=0.25))
+    start = rules.scenario(rules.draws(np.random.default_rng(3), 20000)).launch.start
+    assert (start.pose[:, :2] == start.target).all(-1).mean() == pytest.approx(0.25, abs=0.015)
+    with pytest.raises(ConfigError, match="at_target = 0.5 of the task figure_eight"):
+        TaskSpec("figure_eight", TaskOptions(at_target=0.5))
 
 
 def test_randomised_fish_fill_the_papers_ranges(crowd):

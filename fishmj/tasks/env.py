@@ -39,7 +39,6 @@ class Options(DrawOptions):
     memory: int = 1  # observations (with the actions between them) that the policy sees
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
     course: str = "station_hold"  # of tasks.reference, or the text of one's own that was loaded
-    at_target: float = 0.0  # share of episodes that begin at the target, at any heading
 
     def __new__(cls, *given, **options):
         """Names the place of an argument of `StationHold`; the rest as its base."""
@@ -50,9 +49,7 @@ class Options(DrawOptions):
     def __post_init__(self):
         super().__post_init__()
         checked("task: memory", self.memory, 1, MEMORY, whole=True)
-        checked("task: at_target", self.at_target, 0, 1)
-        if self.at_target and self.course != "station_hold":
-            raise ConfigError(f"task: at_target = {self.at_target} of the task {self.course}; expected station_hold, or 0")
+        self.begins(self.course)
         for name in checked_names("task: hide", self.hide):
             checked_name("observation group", name, task.GROUPS)
 

@@ -154,6 +154,7 @@ class DrawOptions:
     seconds: float | None = None  # length of an episode; None: the task's own
     box: str = "train"  # which turbulence table: train, tune or judge
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
+    at_target: float = 0.0  # share of episodes that begin at the target, at any heading
 
     def __new__(cls, *given, **options):
         """Refuses what the class does not take in one line, before Python does."""
@@ -172,6 +173,12 @@ class DrawOptions:
         for name in ("randomisation", "noise"):
             checked(f"task: {name}", getattr(self, name), 0, LARGEST[name])
         checked_names("task: effects", self.effects)
+        checked("task: at_target", self.at_target, 0, 1)
+
+    def begins(self, course: str) -> None:
+        """Raises ConfigError if the task so named has no episodes that could begin at the target."""
+        if self.at_target and course != "station_hold":
+            raise ConfigError(f"task: at_target = {self.at_target} of the task {course}; expected station_hold, or 0")
 
     @property
     def intensity_bounds(self) -> tuple[float, float]:
@@ -254,6 +261,7 @@ class TaskSpec:
     def __init__(self, name: Any, setting: TaskOptions, **course):
         self.course = course_of(name, **course)
         self.name = getattr(self.course, "name", name)
+        setting.begins(self.name)
         self.setting = setting
         self.robot = setting.fish()
         self.outside = getattr(self.course, "outside", task.outside)
@@ -282,6 +290,8 @@ class TaskSpec:
         if s.flow_bounds is not None:
             low, high = s.flow_bounds
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
+        if s.at_target:
+            start = task.begun_at_target(np, start, draws.start, s.at_target)
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:
             if getattr(self.course, "heads_by_flow", False):  # the heading is given against the flow: it turns along
