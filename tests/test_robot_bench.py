@@ -9,7 +9,7 @@ import pytest
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.gap.bench import bench_command, robot_bench, robot_cases, robot_rows, robot_thresholds
-from fishmj.gap.bench.robot_score import figures, is_twin_class, kind_of, leave_one_out, median_with_bounds, relative_errors
+from fishmj.gap.bench.robot_score import figures, is_right, kind_of, leave_one_out, median_with_bounds, relative_errors
 from fishmj.gap.laboratory.articulated import robot_stand as stands
 from fishmj.gap.laboratory.articulated.bam_servo import friction_budget, servos
 from fishmj.gap.laboratory.articulated.hidden_faults import with_hidden
@@ -240,15 +240,17 @@ def test_figures_of_rows_by_hand():
     assert found["value_error_median"]["value"] == pytest.approx(0.1)
 
 
-def test_class_of_twins_counts_only_where_no_log_can_tell_them_apart():
-    late = {"command_latency": {"delay": 0.02}}
-    one = row(1, "single", "CLASS", late, {"joint_sensor_delay": {}}, rivals=["command_latency"])
-    assert is_twin_class(one) and not is_twin_class(one | {"rivals": ["command_latency", "command_hold"]})
-    damped = row(2, "single", "CLASS", {"viscous_friction@j1": {}}, {"viscous_friction@j1": {}}, rivals=["servo_damping_gain@j1"])
-    assert not is_twin_class(damped) and is_twin_class(damped | {"torques": False})
-    heavy = row(3, "single", "CLASS", {"rotor_inertia@j1": {}}, {"rotor_inertia@j1": {}}, rivals=["link_inertia@b1"])
-    assert is_twin_class(heavy) and not is_twin_class(heavy | {"joints": 2})
-    assert figures([one, damped, heavy])["coverage_or_twins"]["hits"] == 2
+def test_an_effect_that_is_the_same_on_a_robot_stands_for_the_hidden_one():
+    late = row(1, "single", "NAMED", {"command_latency": {"delay": 0.02}}, {"joint_sensor_delay": {}})
+    assert not is_right(late)
+    late["said"][0]["same"] = {"command_latency": {"delay": 0.021}}
+    assert is_right(late) and not is_right(late | {"truth": {"command_hold": {"period": 0.03}}})
+    assert not is_right(late | {"truth": FRICTION | late["truth"]})
+    found = figures([late, row(2, "single", "NAMED", FRICTION, SAID), row(3, "pair", "NAMED", late["truth"] | FRICTION, SAID)])
+    assert [found[key]["hits"] for key in ("precision", "coverage", "coverage_alone", "pairs_both_found")] == [2, 2, 1, 0]
+    both = row(3, "pair", "NAMED", late["truth"] | FRICTION, SAID)
+    both["said"].append(late["said"][0])
+    assert figures([both])["pairs_both_found"]["hits"] == 1 and figures([both])["pairs_phantom"]["hits"] == 0
 
 
 def test_errors_of_a_vector_and_of_a_rate():

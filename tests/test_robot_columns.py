@@ -30,6 +30,8 @@ def test_ambiguous_columns_are_left_to_a_map():
         ("t tau_a tau_tau pos_a pos_tau", "a tau", "pos_a pos_tau", "tau_a tau_tau"),
         ("t left_hip.pos hip.pos tau_leftHip tau_hip", "hip left_hip", "hip.pos left_hip.pos", "tau_hip tau_leftHip"),
         ("t q_j1 q_j10 cmd_j1 cmd_j10", "j1 j10", "q_j1 q_j10", "cmd_j1 cmd_j10"),
+        ("t a b tau_a tau_b", "a b", "a b", "tau_a tau_b"),
+        ("t a b pos_a pos_b tau_a tau_b", "a b", "pos_a pos_b", "tau_a tau_b"),
         ("t q_wrist qd_wrist speed_wrist[rad/s] T1 tau_wrist", "wrist", "q_wrist", "tau_wrist"),
     ],
 )

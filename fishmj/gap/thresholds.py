@@ -70,7 +70,7 @@ class Gates:
 Thresholds = namedtuple(
     "Thresholds",
     "gates fit likelihood model_error cross_validation stepwise decide secondary intervals library equivalence terms stronger"
-    " torques workflow",
+    " torques same workflow",
 )
 
 

@@ -2,30 +2,45 @@
 
 from dataclasses import asdict, dataclass, field
 
-from fishmj.gap.wording import level, number, pair, percent, sizes, title
+from fishmj.gap.wording import level, number, pair, percent, quantity, sizes, title
 
 ANSWERS = ("AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE")
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
 
 @dataclass(frozen=True)
-class Value:
-    """A parameter with its 90 % interval, SI."""
+class PointValue:
+    """A parameter, SI."""
 
     value: float
     unit: str
+
+
+@dataclass(frozen=True)
+class Value(PointValue):
+    """A parameter with its 90 % interval, SI."""
+
     low: float
     high: float
 
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """One effect of the catalogue with its parameters."""
+    """One effect of the catalogue with its parameters.
+
+    same: {another effect: its values} that does the same on this robot in any motion (decide/indistinguishable.py).
+    """
 
     name: str
     parameters: dict[str, Value]
     p_best: float
     closure: float
+    same: dict[str, dict[str, PointValue]] = field(default_factory=dict)
+
+    def equals(self) -> list[str]:
+        """The effects of `same` with their values, in words."""
+        size = lambda k, v, n: f"{title(k) + ' ' if n > 1 else ''}{quantity(v.value, v.unit)}"
+        return [f"{title(name)} {', '.join(size(k, v, len(vs)) for k, v in vs.items())}" for name, vs in self.same.items()]
 
 
 @dataclass(frozen=True)
@@ -130,6 +145,7 @@ class Verdict:
         doubt = "tentative: " if self.answer == "UNEXPLAINED" else ""
         for e in self.effects:
             lines.append(f"  {doubt}{sizes(e.name, e.parameters)}")
+            lines += [f"    or, the same on this robot in any motion: {alike}" for alike in e.equals()]
             lines += [f"    P(best), largest first: {', '.join(f'{title(n)} {p:.2f}' for n, p in self.standing(e))}"] * self.taken
         if self.taken:
             lines += [f"  counted in, not named: {sizes(n.name, n.parameters)}" for n in self.tentative]

@@ -2,8 +2,9 @@
 
     shows         a single whose mean square over noise and healthy robots is above 5 (`robot_session.SEEN`)
     outside       what is hidden is in no catalogue, or not in that of robots at present
-    precision     of singles that show and are NAMED: the hidden effect at its site and nothing beside it
-    or twins      NAMED right, or a CLASS of nothing but the hidden effect and what no log can tell from it (`twins`)
+    named right   the hidden effect at its site and nothing beside it. An effect that is the same on this robot in any motion, and
+                  is listed as that, stands for it (decide/indistinguishable.py)
+    precision     of singles that show and are NAMED: right;  alone: right, and nothing is listed as the same
     listed        NAMED right, or a CLASS that lists the hidden effect at its site
     kind          as precision, whatever the site
 
@@ -82,10 +83,11 @@ def figures(every: list[dict]) -> dict:
     singles = [r for r in kind["single"] if shows(r)]
     outside = [r for r in kind["off"] if shows(r)]
     named = [r for r in singles if r["answer"] == "NAMED"]
-    right = [r for r in named if names(r) == set(r["truth"])]
-    alike = [r for r in named if {n.partition("@")[0] for n in names(r)} == {n.partition("@")[0] for n in r["truth"]}]
+    right = [r for r in named if is_right(r)]
+    alone = [r for r in right if not any(e.get("same") for e in r["said"])]
+    alike = [r for r in named if is_right(r) or {kind_at(n) for n in names(r)} == {kind_at(n) for n in r["truth"]}]
     classes = [r for r in singles if r["answer"] == "CLASS"]
-    listed = [r for r in classes if set(r["truth"]) <= names(r) | set(r["rivals"])]
+    listed = [r for r in classes if set(r["truth"]) <= set().union(*meant(r)) | set(r["rivals"])]
     pairs = [r for r in kind["pair"] if shows(r)]
     count = lambda given, *answers: sum(r["answer"] in answers for r in given)
     errors = [e for r in right for e in relative_errors(r)]
@@ -96,7 +98,7 @@ def figures(every: list[dict]) -> dict:
         "precision": share(len(right), len(named)),
         "precision_of_kind": share(len(alike), len(named)),
         "coverage": share(len(right), len(singles)),
-        "coverage_or_twins": share(len(right) + sum(map(is_twin_class, classes)), len(singles)),
+        "coverage_alone": share(len(alone), len(singles)),
         "listed": share(len(right) + len(listed), len(singles)),
         "class": share(len(classes), len(singles)),
         "unexplained": share(count(singles, "UNEXPLAINED"), len(singles)),
@@ -106,8 +108,8 @@ def figures(every: list[dict]) -> dict:
         "agrees": share(count(kind["none"], "AGREES"), len(kind["none"])),
         "misnamed_outside": share(count(outside, "NAMED"), len(outside)),
         "outside_agrees": share(count(outside, "AGREES"), len(outside)),
-        "pairs_both_found": share(sum(r["answer"] == "NAMED" and set(r["truth"]) <= names(r) for r in pairs), len(pairs)),
-        "pairs_phantom": share(sum(r["answer"] == "NAMED" and not names(r) <= set(r["truth"]) for r in pairs), len(pairs)),
+        "pairs_both_found": share(sum(r["answer"] == "NAMED" and all_found(r) for r in pairs), len(pairs)),
+        "pairs_phantom": share(sum(r["answer"] == "NAMED" and not none_besides(r) for r in pairs), len(pairs)),
         "intervals_hold": share(sum(held), len(held)),
         "value_error_median": median_with_bounds(errors),
         "refused": count(rows, "REFUSED"),
@@ -118,26 +120,29 @@ def figures(every: list[dict]) -> dict:
     }
 
 
-def twins(row: dict) -> set[str]:
-    """Names that are the same as the hidden one in any log of such a robot.
-
-    A late command and reading; damping of a joint and of its position servo; on a pendulum the inertia of rotor and link; of a
-    quadrotor its mass and a loss of all thrust.
-    """
-    (hidden,) = row["truth"]
-    effect, _, site = hidden.partition("@")
-    alike = [{"command_latency", "joint_sensor_delay"}]
-    alike += [] if row["torques"] else [{"viscous_friction", "servo_damping_gain"}]
-    out = {f"{name}@{site}" if site else name for same in alike if effect in same for name in same}
-    pairs = {1: {"rotor_inertia@j1", "link_inertia@b1"}, 0: {"body_mass@b1", "thrust_loss"}}  # by the number of hinges
-    pair = pairs.get(row["joints"], set())
-    return out | {hidden} | (pair if hidden in pair else set())
+def kind_at(name: str) -> str:
+    """Kind of an effect at a site."""
+    return name.partition("@")[0]
 
 
-def is_twin_class(row: dict) -> bool:
-    """Returns True if a CLASS lists the hidden effect and nothing but its twins."""
-    listed = names(row) | set(row["rivals"])
-    return set(row["truth"]) <= listed <= twins(row)
+def meant(row: dict) -> list[set[str]]:
+    """Names that each effect of an answer stands for: its own, and those listed as the same on this robot."""
+    return [{e["name"], *e.get("same", ())} for e in row["said"]]
+
+
+def all_found(row: dict) -> bool:
+    """Returns True if each hidden effect is among those of an answer."""
+    return set(row["truth"]) <= set().union(*meant(row))
+
+
+def none_besides(row: dict) -> bool:
+    """Returns True if each effect of an answer stands for a hidden one."""
+    return all(group & set(row["truth"]) for group in meant(row))
+
+
+def is_right(row: dict) -> bool:
+    """Returns True if the effects of an answer stand for the hidden ones, one for each."""
+    return len(row["said"]) == len(row["truth"]) and all_found(row) and none_besides(row)
 
 
 def values_of(row: dict) -> Iterator[tuple[str, dict[str, list[float]], dict[str, float]]]:
@@ -202,7 +207,7 @@ def report_lines(result: dict) -> list[str]:
 
 def _cells(found: dict) -> dict:
     """Table cells of one group of rows."""
-    keys = ("precision", "coverage", "coverage_or_twins", "nulls_named", "agrees", "misnamed_outside", "intervals_hold")
+    keys = ("precision", "coverage", "coverage_alone", "nulls_named", "agrees", "misnamed_outside", "intervals_hold")
     cells = {key.replace("_", " "): f"{found[key]['hits']} of {found[key]['n']}" for key in keys}
     error = found["value_error_median"]
     return cells | {"value error": f"{100 * error['value']:.1f} %" if error else "-"}

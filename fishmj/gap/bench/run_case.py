@@ -69,9 +69,10 @@ def sizes(gap: Callable, plant, case: BenchCase) -> tuple[float, dict]:
 
 
 def effect_row(effect: NamedEffect) -> dict:
-    """A named effect in short: values as [value, low, high]."""
+    """A named effect in short: values as [value, low, high]; values of what is the same on a robot."""
     values = {k: [v.value, v.low, v.high] for k, v in effect.parameters.items()}
-    return {"name": effect.name, "p_best": effect.p_best, "values": values}
+    same = {name: {k: v.value for k, v in there.items()} for name, there in effect.same.items()}
+    return {"name": effect.name, "p_best": effect.p_best, "values": values} | ({"same": same} if same else {})
 
 
 def true_gap(plant, case: BenchCase, hidden: dict) -> float:

@@ -15,6 +15,7 @@ from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
+from fishmj.gap.decide.indistinguishable import with_indistinguishable
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
@@ -151,7 +152,9 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         bars=progress.terminal_bar,
         notes=robot.notes,
     )
-    return replace(found, verdict=without_stand_in(found.verdict))
+    e = found.evidence
+    verdict = with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
+    return replace(found, verdict=without_stand_in(verdict))
 
 
 def robot_gates() -> Gates:

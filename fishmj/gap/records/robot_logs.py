@@ -218,6 +218,9 @@ def _command_score(words: set[str], torques: bool) -> int:
     return 4 * bool(words & ASKED) + 2 * bool(words & (TORQUE if torques else POSITION))
 
 
+OWN_NAME = "name of #"  # columns named as the joints alone: positions, if nothing else is
+
+
 def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str], score) -> dict[str, str]:
     """Site -> column of the family with the highest score. names: True for those whose unit fits.
 
@@ -228,7 +231,7 @@ def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str]
         for place, key in _places(name, sites):
             found.setdefault(key, {}).setdefault(place, []).append(name)
     whole = {key: by for key, by in found.items() if set(by) == set(range(len(sites)))}
-    ranked = sorted(((score(_words(key)), key) for key in whole), reverse=True)
+    ranked = sorted(((score(_words(key)) or (table == "joint" and key == OWN_NAME), key) for key in whole), reverse=True)
     if not ranked or ranked[0][0] <= 0:
         raise LogError(
             f"no columns for the {what} among {_listed(list(names))}; name them in a map, --columns MAP.toml, [{table}]"

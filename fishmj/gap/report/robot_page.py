@@ -11,6 +11,7 @@ from fishmj.gap.localise.robot_localisation import MOTIONS, RobotLocalisation
 from fishmj.gap.report import sections
 from fishmj.gap.report.pictures import STYLE
 from fishmj.gap.report.report_data import ReportData, after, blind, channels, rounds
+from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
 
@@ -25,7 +26,7 @@ def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[s
     m = ReportData(inquiry, gates, c, place, (), channels(inquiry), rounds(inquiry), blind(inquiry, gates), "")  # type: ignore[arg-type]
     v = inquiry.verdict
     with style(STYLE):
-        shown = [sections.gap(m), _where(place), _torques(m), _each(answers), sections.candidates(m)]
+        shown = [sections.gap(m), _where(place), _torques(m), _each(answers, v), sections.candidates(m)]
         shown += [sections.checks(m, SET_ON), sections.invisible(m), sections.records(m)]
     head = {
         "synthetic": inquiry.synthetic,
@@ -85,6 +86,11 @@ def _torques(m: ReportData) -> Section:
     return Section("Torques that nothing explains", about, [table(rows) if rows else ""])
 
 
-def _each(answers: dict[str, str]) -> Section:
-    rows = [{"effect": part("strong", title(name)), "answer": part("tag", answer)} for name, answer in answers.items()]
+def _each(answers: dict[str, str], v: Verdict) -> Section:
+    same = {e.name: "; ".join(e.equals()) for e in v.effects}
+    rows = [
+        {"effect": part("strong", title(name)), "answer": part("tag", answer)}
+        | ({"the same on this robot in any motion": same[name]} if any(same.values()) else {})
+        for name, answer in answers.items()
+    ]
     return Section("Effect by effect", "One may be certain beside another that is not.", [table(rows) if rows else ""])
