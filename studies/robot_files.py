@@ -15,5 +15,6 @@ def write_robot_files(doc: str | None, made: Callable[[Path], Iterable[tuple[str
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     for name, text in made(args.data):
+        (args.out / name).parent.mkdir(parents=True, exist_ok=True)
         (args.out / name).write_text(text, encoding="utf-8")
         console.say(f"{args.out / name}")

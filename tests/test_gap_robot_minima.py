@@ -13,7 +13,9 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
 from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.null.variances import VarianceScore
 from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search import unexplained_torque
 from fishmj.gap.search.fit import bounds
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.unexplained_torque import TorqueFit, descend, torques, with_measured_errors
@@ -59,6 +61,15 @@ def test_kept_fit_is_no_worse_than_from_any_start(question):
         start[first:] += k * 0.15 * size[first:] * rng.standard_normal(len(start) - first)
         fit = descend(TorqueFit(np.inf, e, np.clip(start, low, high)), 6, 3)
         assert least < fit.loss + 0.02 * abs(fit.loss)
+
+
+@pytest.mark.parametrize("expected, factor", [(-1.0, 1.0), (1e-200, 1e3)])
+def test_torques_stay_finite_where_no_torque_is_large_enough(question, monkeypatch, expected, factor):
+    """A joint that sticks, in a model that slides: the size overflowed on logs of a measured servo."""
+    model, *_, e = question
+    sums = VarianceScore(0.0, 1.0, np.full(model.joints + 1, 1e9), np.full(model.joints + 1, expected))
+    monkeypatch.setattr(unexplained_torque, "score_variances", lambda *_: sums)
+    np.testing.assert_allclose(torques(e, model.null), factor * e.model.torque_error)
 
 
 def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():

@@ -130,8 +130,9 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     u, tiny = np.ones(joints + 1), np.finfo(float).tiny ** 0.5
     for _ in range(thresholds().torques.updates):
         told = score_variances(sample, u, np.zeros(1))
-        ratio = np.sqrt(np.maximum(told.seen[: joints + 1], tiny) / np.maximum(told.expected[: joints + 1], tiny))
-        u[:joints] = np.maximum(u[:joints] * ratio[:joints], tiny)
+        ratio = np.sqrt(np.maximum(told.seen[:joints], tiny) / np.maximum(told.expected[:joints], tiny))
+        # Where a joint sticks and the model slides, no torque is large enough: the sums sink into rounding, and u would overflow.
+        u[:joints] = np.clip(u[:joints] * np.where(told.expected[:joints] > 0, ratio, 1.0), tiny, 1e6)
     return np.sqrt(u[:joints]) * model.torque_error
 
 
