@@ -145,7 +145,10 @@ def test_session_shows_what_is_hidden_and_repeats():
 def test_servo_session_states_the_law_of_its_servo():
     told = draw_session("bam", "pendulum", ("load_friction",), 3, 2, 1.0)
     name, law = told.servo.split()
-    assert law == "M3" and told.hidden["load_friction@j1"]["ratio"] == servos()[name].laws["M3"]["load"]
+    told_law = servos()[name].laws[law]
+    shares = [2.0 * told_law["load"]] if law == "M3" else [told_law[k] for k in ("motor", "external")]
+    shares += [told_law.get(f"{k}_stribeck", 0.0) for k in ("motor", "external")]
+    assert law in ("M3", "M5", "M6") and told.hidden["load_friction@j1"]["ratio"] == pytest.approx(sum(shares))
     bare = draw_session("bam", "pendulum", ("coulomb_friction",), 3, 2, 1.0)
     assert bare.plan.limbs[0].friction == 0.0 < bare.hidden["coulomb_friction@j1"]["torque"]
 

@@ -41,7 +41,7 @@ def servos() -> dict[str, BamServo]:
     return out
 
 
-LAWS = ("stribeck", "load_friction", "directional_friction")  # effects that are a servo's own law: M2; M3; M5 or M6
+LAWS = {"stribeck": ("M2",), "load_friction": ("M3", "M5", "M6"), "": ("M1",)}  # effects that are a servo's own law; none
 
 
 def friction_budget(driven: Mapping[int, Mapping[str, float]], v, motor, external) -> np.ndarray:

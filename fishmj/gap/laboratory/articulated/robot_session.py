@@ -40,7 +40,7 @@ OF_SERVOS = (
     *("coulomb_friction", "viscous_friction", "rotor_inertia", "stribeck", "load_friction", "torque_offset", "servo_gain"),
     *("payload", "com_offset", "command_latency", "command_hold", "joint_zero_offset", "command_quantisation", "packet_loss"),
 )
-OUTSIDE_OF_SERVOS = ("directional_friction", "cable_torque", "vibration")
+OUTSIDE_OF_SERVOS = ("cable_torque", "vibration")
 
 
 class RobotSession(NamedTuple):
@@ -158,9 +158,8 @@ def _servo_robot(family: str, names: Sequence[str], rng) -> tuple | None:
     if any(FAULTS[name].coupled for name in names if name in FAULTS) and len(plan.limbs) < 2:
         return None
     servo = str(rng.choice(list(servos())))
-    number = {"stribeck": "M2", "load_friction": "M3"}.get(next((n for n in names if n in LAWS), ""), "M1")
-    if "directional_friction" in names:
-        number = str(rng.choice(("M5", "M6")))
+    numbers = LAWS[next((name for name in names if name in LAWS), "")]
+    number = str(rng.choice(numbers))
     kind = servos()[servo]
     constants = kind.laws[number]
     plan = carrying(plan, kind, constants, rng)
@@ -182,10 +181,16 @@ def _servo_robot(family: str, names: Sequence[str], rng) -> tuple | None:
 
 
 def _as_parameters(name: str, constants: Mapping[str, float]) -> dict[str, float]:
-    """Values of a servo's law under the names of the catalogue."""
+    """Values of a servo's law under the names of the catalogue.
+
+    Load friction there is a share of the motor's torque. Where the joint moves slowly the outer torque is its opposite, so M3's
+    share of their difference counts twice, and M5's and M6's shares add up.
+    """
     if name == "stribeck":
         return {"torque": constants["stribeck"], "speed": constants["speed"]}
-    return {"ratio": constants["load"]} if name == "load_friction" else dict(constants)
+    if "load" in constants:
+        return {"ratio": 2.0 * constants["load"]}
+    return {"ratio": sum(constants[key] for key in ("motor", "external", "motor_stribeck", "external_stribeck"))}
 
 
 def carrying(plan: RobotPlan, kind: BamServo, constants: Mapping[str, float], rng) -> RobotPlan:
