@@ -4,7 +4,6 @@ from dataclasses import asdict, dataclass, field
 
 from fishmj.gap.wording import level, number, pair, percent, sizes, title
 
-ANSWERS = ("AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE")
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
 

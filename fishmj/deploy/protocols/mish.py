@@ -26,7 +26,6 @@ FIRMWARES: tuple[Firmware, ...] = ("mish-0.1.0", "fixed")
 UPLINK, DOWNLINK = struct.Struct("<3i3f3f3i"), struct.Struct("<6f")
 JOINTS = 3
 ROBOT_PORT, HOST_PORT = 2333, 6060
-PERIOD = 0.02  # s between two datagrams of the robot
 SERVO_RANGE = 1.047  # rad, the firmware's own bound
 SLOWEST, FASTEST = 0.05, 5.23  # rad/s, the firmware's bounds of a speed that is not 0
 LACKS = (
@@ -96,11 +95,6 @@ def decode_telemetry(data: bytes) -> Telemetry:
     _ids(values[:3])
     degrees = _checked([float(value) for value in values[9:]], MOST_TEMPERATURE, "temperature")
     return Telemetry(_checked(values[3:6], MOST_ANGLE, "joint"), servo_voltage=_volts(values[6:9]), temperature=degrees)
-
-
-def servo_ids(data: bytes) -> tuple[int, ...]:
-    """The servo ids of a telemetry datagram, (3,). Raises ProtocolError."""
-    return _ids(UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))[:3])
 
 
 def commanded(joint: float, firmware: Firmware = "fixed") -> float:

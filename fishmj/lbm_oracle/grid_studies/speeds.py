@@ -37,7 +37,6 @@ from fishmj.lbm_oracle.run.swim import figures
 from fishmj.mjcf import load_robot
 
 FREQUENCIES, SLIPS = (0.5, 1.0, 1.5, 2.0), (0.0, 0.95, 0.98, 0.99, 0.995, 1.0)
-Numbers = Sequence[float]
 KEYS = ("frequency", "amplitude_deg", "lag_deg", "slip", "depth")
 OF_THE_PAPER = {"amplitude_deg": 30.0, "lag_deg": 60.0}  # gait of rows that do not state one
 COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
