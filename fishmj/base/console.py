@@ -308,11 +308,7 @@ class CommandGroup:
         return self.load(name)(argv[words:])
 
     def load(self, name: str) -> Main:
-        """Imports a command and returns its function.
-
-        Raises:
-            UnknownName: no command of this name.
-        """
+        """Imports a command and returns its function. Raises UnknownName: no command of this name."""
         if name not in self.commands:
             raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
         run = self.commands[name].run

@@ -64,8 +64,7 @@ class Number:
 def checked(where: str, value: Any, low: float = -math.inf, high: float = math.inf, *, whole: bool = False) -> Any:
     """Returns `value`, an argument of a Python call, if it is a finite number from `low` to `high`.
 
-    Raises:
-        ConfigError: it is not; begins with `where`, the name of the argument.
+    Raises ConfigError: it is not; begins with `where`, the name of the argument.
     """
     given = value.item() if getattr(value, "shape", None) == () else value  # NumPy's and JAX's scalars
     kind = int if whole else int | float

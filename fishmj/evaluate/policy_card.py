@@ -141,8 +141,7 @@ def make_card(source: str | Path, judged: Sequence[dict], curve: Path | None = N
 def read_card(source: str | Path) -> PolicyCard:
     """Card of a policy from the file beside its weights; if there is none, that of its header alone.
 
-    Raises:
-        ConfigError: no card, or one of other weights. UnknownName, StoreError: no such policy, or a damaged card.
+    Raises ConfigError: no card, or one of other weights; UnknownName, StoreError: no such policy, or a damaged card.
     """
     path = card_path(source)
     if not path.is_file():

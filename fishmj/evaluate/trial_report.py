@@ -204,8 +204,7 @@ def write(
     replay: writes the page that plays the worst trial; None: no such page.
     again: command that repeats the judgement with trial folders and the replay of the worst trial, for a page without them.
 
-    Raises:
-        StoreError: some parts could not be written or drawn; names each with the reason. All other parts were written.
+    Raises StoreError: some parts could not be written or drawn; names each with the reason. All other parts were written.
     """
     shown: list[tuple[Path, str]] = []
     failed: dict[str, Exception] = {}

@@ -170,8 +170,7 @@ def _meta(args: Namespace) -> dict:
 def robot_of(text: str) -> tuple[str, int]:
     """Name and number of joints (0: not known) of a robot: its TOML, a shipped one's file or its own name, or any name.
 
-    Raises:
-        ConfigError: no such file, not TOML, or no name that may stand in a path.
+    Raises ConfigError: no such file, not TOML, or no name that may stand in a path.
     """
     path = None
     if text.endswith(".toml"):
@@ -453,8 +452,7 @@ def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
 def _physical(trial: Trial) -> Trial:
     """The trial without failed reads, and with notes on implausible motion.
 
-    Raises:
-        LogError: the trial contradicts itself: a heading, a sign or a unit differs from the map.
+    Raises LogError: the trial contradicts itself: a heading, a sign or a unit differs from the map.
     """
     trial, left_out = physical_checks.without_failed_reads(trial)
     found = physical_checks.examine(trial)

@@ -75,8 +75,7 @@ def examine(trial: Trial, only: Iterable[str] = ()) -> list[PhysicalFinding]:
     Args:
         only: names of checks; all by default.
 
-    Raises:
-        LogError: `[plausible]` of the trial is no table of bounds.
+    Raises LogError: `[plausible]` of the trial is no table of bounds.
     """
     bounds = bounds_of(trial.meta, trial.name or "trial")
     wanted = set(only) or {check.name for check in CHECKS}

@@ -95,8 +95,7 @@ def label(
         tank: half width in x and in y, m, centred on the origin; without it near_wall is not available.
         step: least jump of a command, rad; turning: rad/s; behind: joint error that indicates a torque limit, rad.
 
-    Raises:
-        LogError: the trial is shorter than one window.
+    Raises LogError: the trial is shorter than one window.
     """
     first, last = _span(trial)
     if beat is None:

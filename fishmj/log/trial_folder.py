@@ -117,8 +117,7 @@ def write_trial(
         form: "csv", "npz", or "auto" (npz for synthetic trials, csv for measured ones).
         precision: of npz columns: "auto" (see `table_files.narrow`), "float32" or "float64".
 
-    Raises:
-        LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.
+    Raises LogError: the trial breaks the schema; StoreError: the folder exists, or the disk refuses.
     """
     folder = Path(folder)
     meta_text = checked_meta(folder, trial.meta)
@@ -152,11 +151,7 @@ def write_trial(
 
 
 def checked_meta(folder: Path, meta: dict) -> str:
-    """The text of a trial's meta.toml.
-
-    Raises:
-        LogError: the origin is missing, a value is impossible or has no TOML form.
-    """
+    """The text of a trial's meta.toml. Raises LogError: the origin is missing, a value is impossible or has no TOML form."""
     meta = toml.nested({"schema": SCHEMA, **meta})
     if "origin" not in meta:
         raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')

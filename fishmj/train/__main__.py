@@ -170,8 +170,7 @@ def weight(text: str) -> tuple[str, float]:
 def settings_from(args, run=None):
     """Preset, or settings of a run to resume, with all options of the command line.
 
-    Raises:
-        ConfigError, UnknownName: invalid options, or own code of the run that the command line does not name again.
+    Raises ConfigError, UnknownName: invalid options, or own code of the run that the command line does not name again.
     """
     from fishmj.base import plugins
     from fishmj.engines import own_effects

@@ -212,8 +212,7 @@ def own_code(settings: Settings) -> dict[str, str]:
 def same(folder: Path, mine: Settings, theirs: dict) -> None:
     """Refuses to continue a run with settings other than its own, `theirs` as in its files.
 
-    Raises:
-        ConfigError: with both values of those that differ.
+    Raises ConfigError: with both values of those that differ.
     """
     a, b = flat(as_dict(mine)), flat(theirs)
     other = [k for k in {**a, **b} if a.get(k) != b.get(k) and k not in FREE]

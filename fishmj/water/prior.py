@@ -58,8 +58,7 @@ def unflat(values) -> strip_forces.Coefficients:
 def prior_of(robot: Robot) -> Prior:
     """Prior of this robot's coefficients: its water table gives the mean, the calibration file the rest.
 
-    Raises:
-        ConfigError: a coefficient of the robot lies outside the file's bounds, or it has one that a fit to the solver lacks.
+    Raises ConfigError: a coefficient of the robot lies outside the file's bounds, or it has one that a fit to the solver lacks.
     """
     links = len(robot.links)
     if any(robot.water.get(key, unset) != unset for key, unset in strip_forces.SHAPE.items()):

@@ -141,8 +141,7 @@ def warn_of_training(controller: LearnedController, robot: Robot) -> None:
 def pilot_of(args: Any, robot: Robot) -> tuple[LearnedController | None, Pilot]:
     """The policy that the options name and its pilot; (None, pilot) for a gait.
 
-    Raises:
-        UsageError: neither. ConfigError: no such policy, one for another robot, or a gait that this robot cannot follow.
+    Raises UsageError: neither; ConfigError: no such policy, one for another robot, or a gait that this robot cannot follow.
     """
     if args.gait is None and args.policy is None:
         raise UsageError("deploy swim: one of --policy NAME and --gait HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] is needed")
@@ -247,8 +246,7 @@ def place(text: str) -> tuple[float, float]:
 def flow(text: str) -> tuple[float, float]:
     """Parses `0.2,3.14`: speed, m/s, and direction of flow, rad; or `tank_flow.toml@22.5`, a flow map at a pump setting.
 
-    Raises:
-        ArgumentTypeError: neither. ConfigError: a map that cannot be read, or a setting outside of it.
+    Raises ArgumentTypeError: neither; ConfigError: a map that cannot be read, or a setting outside of it.
     """
     path, mark, setting = text.rpartition("@")
     if mark:

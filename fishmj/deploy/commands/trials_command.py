@@ -209,8 +209,7 @@ class Walk:
     def _swum(self, place: Place, folder: Path) -> SwimOutcome:
         """Opens all devices, swims, and closes them.
 
-        Raises:
-            ConfigError: no person at a tank that needs one; the robot does not arm; errors of `wiring.wire`.
+        Raises ConfigError: no person at a tank that needs one; the robot does not arm; errors of `wiring.wire`.
         """
         args, water = self.args, self.waters.get(place.spec.speed)
         stream = (place.spec.speed, float(self.session.what["direction"]))

@@ -60,8 +60,7 @@ def runs(asked: Sequence[str], repeats: int, joints: int) -> list[ExperimentRun]
 
     So a drift of the rig (battery, water) does not hide in one experiment.
 
-    Raises:
-        UnknownName: no such experiment. ConfigError: one that needs a tow carriage.
+    Raises UnknownName: no such experiment; ConfigError: one that needs a tow carriage.
     """
     names = [name for item in asked for name in SESSIONS.get(item, (item,))]
     found = {name: excitation.get(name, joints) for name in dict.fromkeys(names)}
@@ -95,8 +94,7 @@ class SineGait(NamedTuple):
     def commands(self, robot: Robot, seconds: float) -> np.ndarray:
         """Commands (T, J) rad for `seconds` s, one every bus tick.
 
-        Raises:
-            ConfigError: a number that is not finite, angles beyond the servos' range, or a beat that they cannot follow.
+        Raises ConfigError: a number that is not finite, angles beyond the servos' range, or a beat that they cannot follow.
         """
         servo, (frequency, amplitude, lag, bias) = robot.servo, (self[0], *np.radians(self[1:]))
         if not all(map(isfinite, self)):
@@ -169,8 +167,7 @@ def meta_of(robot: Robot, flow: tuple[float, float] | None, simulated: bool, not
 def kept(trial: Trial, run: ExperimentRun) -> Trial:
     """Part of a host's log for a data set: from the first played command to the last, on a clock from there.
 
-    Raises:
-        ConfigError: nothing was played.
+    Raises ConfigError: nothing was played.
     """
     cmd = trial.tables["cmd"]
     played = cmd["state"] == int(SwimState.SWIMMING)

@@ -131,8 +131,7 @@ class SwimLoop:
     Args:
         stop: asked at every tick; True if the operator wants an end. person: a person has checked the fish since the last swim.
 
-    Raises:
-        ConfigError: the last swim ended in NEUTRAL, and no person has checked the fish.
+    Raises ConfigError: the last swim ended in NEUTRAL, and no person has checked the fish.
     """
 
     def __init__(

@@ -252,8 +252,7 @@ class TrialLog:
     def close(self, why: str = "") -> None:
         """Writes the last rows; may be called twice, also from another thread.
 
-        Raises:
-            StoreError: the disk refuses; the trial then lies in the folder for temporary files.
+        Raises StoreError: the disk refuses; the trial then lies in the folder for temporary files.
         """
         self._stop.set()
         if self._thread is not None:
@@ -278,8 +277,7 @@ class TrialLog:
 def recovered(folder: Path) -> Trial:
     """Makes the trial of a swim whose host was killed from its journal, and writes it in its place.
 
-    Raises:
-        StoreError: there is no journal, or its host is still running. LogError: there is no row in it.
+    Raises StoreError: there is no journal, or its host is still running; LogError: there is no row in it.
     """
     meta, zero, columns, rows = left(folder)
     host = {name: value for name, value in meta.get("host", {}).items() if name != "state"}

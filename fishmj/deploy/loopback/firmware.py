@@ -56,8 +56,7 @@ class Firmware(Protocol):
 def firmware_of(protocol: str, robot: Robot, born: float, policy_sha256: str = "") -> Firmware:
     """The firmware that speaks this protocol, booted at `born` [s].
 
-    Raises:
-        UnknownName: no such protocol. ConfigError: a robot that it cannot be on.
+    Raises UnknownName: no such protocol; ConfigError: a robot that it cannot be on.
     """
     if protocol not in PROTOCOLS:
         raise UnknownName("protocol", protocol, PROTOCOLS)

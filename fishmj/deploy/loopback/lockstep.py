@@ -163,8 +163,7 @@ class FixNoise(NamedTuple):
         Args:
             case: tag_clean, tag_glare, colour_clean or colour_glare.
 
-        Raises:
-            UnknownName: no such case.
+        Raises UnknownName: no such case.
         """
         table = read_toml(calib_folder() / "camera_noise.toml")
         cases = {name: entry for name, entry in table.items() if isinstance(entry, dict) and "position" in entry}

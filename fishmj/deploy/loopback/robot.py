@@ -43,8 +43,7 @@ class LoopbackRobot:
     Attributes:
         restarts: number of reboots of the microcontroller.
 
-    Raises:
-        UnknownName, ConfigError: a protocol or a fault that this robot does not support.
+    Raises UnknownName, ConfigError: a protocol or a fault that this robot does not support.
     """
 
     def __init__(

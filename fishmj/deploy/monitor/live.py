@@ -68,8 +68,7 @@ def monitor_options(parser: console.Parser) -> None:
 def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, seconds: float) -> Watched | None:
     """Settings from the options, None without a monitor; prints the tables that will not be watched.
 
-    Raises:
-        ConfigError: a model of another chain, a missing healthy swim, or --healthy without --monitor.
+    Raises ConfigError: a model of another chain, a missing healthy swim, or --healthy without --monitor.
     """
     if args.monitor is None:
         if args.healthy:

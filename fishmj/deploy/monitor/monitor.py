@@ -157,8 +157,7 @@ def has(trials: Iterable[Trial], table: str) -> bool:
 def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power: bool = True) -> Reference:
     """Reference distribution of the healthy robot's innovations, from its trials.
 
-    Raises:
-        ConfigError: less than 80 s of it behind the run-in of every trial.
+    Raises ConfigError: less than 80 s of it behind the run-in of every trial.
     """
     made: list[dict] = []
     probes: Mapping[str, tuple[str, ...]] = {}

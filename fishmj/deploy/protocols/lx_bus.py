@@ -143,8 +143,7 @@ def encode(servo: int, code: Code, *values: int) -> bytes:
     Args:
         servo: 0 to 253, 254 for all of them. values: as in `TABLE`, in counts, ms, mV, deg C (`servo_counts`).
 
-    Raises:
-        ProtocolError: another number of values, or one out of its range.
+    Raises ProtocolError: another number of values, or one out of its range.
     """
     return _encoded(servo, code, values, False, BROADCAST)
 

@@ -73,8 +73,7 @@ def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmwar
     Args:
         ids: of the servos, (3,). Without servo_voltage and temperature zeros are sent, as the robot does for a silent servo.
 
-    Raises:
-        ProtocolError: other counts, or a value that is not finite or out of range. UnknownName: no such firmware.
+    Raises ProtocolError: other counts, or a value that is not finite or out of range; UnknownName: no such firmware.
     """
     it = telemetry
     volts, degrees = it.servo_voltage or (0.0,) * JOINTS, it.temperature or (0.0,) * JOINTS
@@ -88,8 +87,7 @@ def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmwar
 def decode_telemetry(data: bytes) -> Telemetry:
     """The telemetry in a datagram; values outside the layout are None.
 
-    Raises:
-        ProtocolError: for any bytes that are no telemetry; no other error occurs.
+    Raises ProtocolError: for any bytes that are no telemetry; no other error occurs.
     """
     values = UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))
     _ids(values[:3])

@@ -36,11 +36,7 @@ class Shots:
         return 1.0 / float(np.median(self._gaps)) if self._gaps else float("nan")
 
     def taken(self, count: int) -> Iterator[Frame]:
-        """`count` pictures with their stamps.
-
-        Raises:
-            ConfigError: no picture for `SILENT` s.
-        """
+        """`count` pictures with their stamps. Raises ConfigError: no picture for `SILENT` s."""
         heard = begun = self.clock.now()
         last: float | None = None
         number = 1

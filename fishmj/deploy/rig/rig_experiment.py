@@ -139,8 +139,7 @@ def _played(
         ask: returns True if a person stands at the tank. stop: set by a signal while the robot swims. words: of `graceful_stop`.
         wire: as `main`.
 
-    Raises:
-        ConfigError: the robot has no watchdog and no person stands at the tank; errors of `wiring.wire`.
+    Raises ConfigError: the robot has no watchdog and no person stands at the tank; errors of `wiring.wire`.
     """
     given: Any = args
     if args.link == "loopback":

@@ -153,8 +153,7 @@ class Calibration:
     def read(cls, path: str | Path) -> "Calibration":
         """Reads a TOML file of `write` or of a person.
 
-        Raises:
-            ConfigError: not readable, incomplete or impossible. UnknownName: an unknown key.
+        Raises ConfigError: not readable, incomplete or impossible; UnknownName: an unknown key.
         """
         table, where = read_toml(path), shown_path(path)
         if table.get("schema") != SCHEMA:

@@ -88,8 +88,7 @@ class Session:
     Args:
         folder: of the session. what: policy, robot, seconds, seed, which must not change within a session.
 
-    Raises:
-        ConfigError: the folder belongs to a session with other settings; names it.
+    Raises ConfigError: the folder belongs to a session with other settings; names it.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any]):
@@ -159,8 +158,7 @@ def counts(outcome: SwimOutcome) -> bool:
 def cut(trial: Trial, name: str, seconds: float) -> Trial:
     """A host's log on a clock that begins with the policy's control, up to `seconds`.
 
-    Raises:
-        ConfigError: the policy never steered.
+    Raises ConfigError: the policy never steered.
     """
     cmd = trial.tables.get("cmd", {})
     steered = cmd["state"] == int(SwimState.SWIMMING) if "state" in cmd else np.zeros(0, bool)

@@ -45,8 +45,7 @@ def result_of(
 ) -> Result:  # fmt: skip
     """The accepted trials as a result; missing ones are left out.
 
-    Raises:
-        ConfigError: there is none. LogError: one without poses.
+    Raises ConfigError: there is none; LogError: one without poses.
     """
     there = sorted((place for place in places if place.name in logs), key=lambda place: place.number)
     if not there:
@@ -114,8 +113,7 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
 
     Time series for pictures come from its logs, if it has them (`--log`).
 
-    Raises:
-        StoreError: no trials.csv there, or a damaged one. ConfigError: of other controllers, or of none of these trials.
+    Raises StoreError: no trials.csv there, or a damaged one; ConfigError: of other controllers, or of none of these trials.
     """
     file = folder / "trials.csv"
     try:

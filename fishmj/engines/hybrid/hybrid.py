@@ -56,8 +56,7 @@ class HybridOptions:
         patience: wall-clock s for a segment; a later one is dropped. side_by_side: tanks at a time.
         wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
 
-    Raises:
-        ConfigError: invalid times.
+    Raises ConfigError: invalid times.
     """
 
     first: float = setting(10.0, number(0, 600), "s before the first segment")

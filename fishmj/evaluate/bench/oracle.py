@@ -118,8 +118,7 @@ def _emptied(domain, device, steps: int, unit: float = 1.0) -> BenchmarkWork:
 def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> BenchmarkWork:
     """Fish at rest in still water with their servos on, each at its own pace like trials; `unit` of work for each step of one.
 
-    Raises:
-        SimDiverged: a tank stopped; its steps would have been counted without having been done.
+    Raises SimDiverged: a tank stopped; its steps would have been counted without having been done.
     """
     import numpy as np
     import warp as wp
@@ -259,8 +258,7 @@ PEER_WAIT = 300.0  # s; it compiles when it starts
 def peer_interpreter() -> Path:
     """Python of the environment that holds XLB: `FISHMJ_XLB_PYTHON`, or `xlb` in the cache folder.
 
-    Raises:
-        NotHere: there is none; the message has the command that makes it.
+    Raises NotHere: there is none; the message has the command that makes it.
     """
     chosen = os.environ.get("FISHMJ_XLB_PYTHON")
     home = cache_folder() / "xlb"
@@ -274,8 +272,7 @@ def peer_interpreter() -> Path:
 def xlb(quick: bool) -> BenchmarkWork:
     """XLB's periodic step on the same box, on the CPU.
 
-    Raises:
-        NotHere: it is not installed, or does not start; the message has its last output.
+    Raises NotHere: it is not installed, or does not start; the message has its last output.
     """
     steps = PEER_QUICK if quick else PEER_STEPS
     command = [str(peer_interpreter()), str(Path(__file__).with_name("peer_xlb.py")), *map(str, PEER_SHAPE)]

@@ -79,8 +79,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
 def found_policies(setup: ExperimentSetup, folder: Path, name: str) -> list[tuple[Path, LearnedController, str]]:
     """Policies of a variant in a folder: place, controller and water of the training.
 
-    Raises:
-        ConfigError: there is none, or one that was trained with other inputs.
+    Raises ConfigError: there is none, or one that was trained with other inputs.
     """
     slug = name.replace(" ", "-")
     paths = [path for path in sorted(folder.glob(f"{slug}*")) if path.stem == slug or path.stem.startswith(f"{slug}-")]

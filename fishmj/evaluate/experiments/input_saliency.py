@@ -68,11 +68,7 @@ def rank_correlation(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
-    """Two directions at three speeds.
-
-    Raises:
-        ConfigError: a controller that is not a policy of `fishmj.control.policy`.
-    """
+    """Two directions at three speeds. Raises ConfigError: a controller that is not a policy of `fishmj.control.policy`."""
     brain = setup.brain
     if not isinstance(brain, LearnedController):
         raise ConfigError(f"experiment saliency: {brain.name} is no policy file, so it has no derivatives; take a trained policy")

@@ -61,8 +61,7 @@ class CalibratedRobot(NamedTuple):
 def calibrate_robot(family: str, seed: int, robot: Robot) -> CalibratedRobot:
     """Calibrated model of the healthy robot of a seed, from disk or made now.
 
-    Raises:
-        LogError: the swims contain no information. SimDiverged: the robot left the finite numbers.
+    Raises LogError: the swims contain no information; SimDiverged: the robot left the finite numbers.
     """
     return read_or_calibrate(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
 

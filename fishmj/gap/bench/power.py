@@ -54,8 +54,7 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
 def effect_at_strength(family: str, case: BenchCase, robot: Robot) -> tuple[dict, float]:
     """The effect of a case at its strength: (values, reached strength). The nearest if none reaches it.
 
-    Raises:
-        SimDiverged: the robot does not swim at any tried size.
+    Raises SimDiverged: the robot does not swim at any tried size.
     """
     ((name, drawn),) = case.effects.items()
     spec = {p.name: p for p in catalogue.get(name).parameters}

@@ -41,8 +41,7 @@ def write(
     Args:
         effects: {"coulomb_friction.torque": estimate}; an existing one is replaced. data: folder of the logs.
 
-    Raises:
-        ConfigError: the file would not be a valid fish.
+    Raises ConfigError: the file would not be a valid fish.
     """
     manifest = Path(data) / "manifest.json"
     source, evidence = Path(data).as_posix(), sha256(manifest) if manifest.is_file() else ""
@@ -70,8 +69,7 @@ def put(text: str, table: str, values: dict, name: str = "", *, source: str = ""
     Args:
         source: of the new numbers, for the comments beside them. new: add missing lines.
 
-    Raises:
-        ConfigError: no such table or key.
+    Raises ConfigError: no such table or key.
     """
     lines, inside, left = text.splitlines(), False, dict(values)
     block, last, heads = -1, -1, []

@@ -197,11 +197,7 @@ class LatencyEstimates(NamedTuple):
 
 
 def calibrate_latency(logs: Logs, servo: ServoFit) -> LatencyEstimates:
-    """Both latencies from the bench and the swims.
-
-    Raises:
-        LogError: no lag was found on any trial.
-    """
+    """Both latencies from the bench and the swims. Raises LogError: no lag was found on any trial."""
     names = [*logs.bench(), *logs.of("water", SWIMS)]
     records = logs.records(servo.plant.dt, names)
     predicted = servo.plant.predict(records, servo.row)

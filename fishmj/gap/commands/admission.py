@@ -106,8 +106,7 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
     Args:
         model: the user's name for the robot. agreed: accept logs of another name (`--same-robot`).
 
-    Raises:
-        LogError: another number of joints, or another robot's name without agreement.
+    Raises LogError: another number of joints, or another robot's name without agreement.
     """
     said: Counter[str] = Counter()
     for trial in trials:
@@ -268,8 +267,7 @@ class Pair(NamedTuple):
 def admit(e: Likelihood, anyway: bool = False) -> None:
     """Lets a search go on, or raises. anyway: the user has confirmed such a gap.
 
-    Raises:
-        TooDifferent: the gap is beyond BEYOND, or beyond FAR with a recognised cause, without confirmation.
+    Raises TooDifferent: the gap is beyond BEYOND, or beyond FAR with a recognised cause, without confirmation.
     """
     gap, channels = e.over_floor(e.model.null)
     if anyway or max(gap, *channels.values()) <= FAR:

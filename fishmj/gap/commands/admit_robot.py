@@ -57,8 +57,7 @@ class Mistake(NamedTuple):
 def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], anyway: bool = False) -> None:
     """Warns of what looks wrong in the logs.
 
-    Raises:
-        LogError: a mistake that explains them far better, unless `anyway`; it names the remedy.
+    Raises LogError: a mistake that explains them far better, unless `anyway`; it names the remedy.
     """
     for doubt in doubts(robot, records):
         console.warn(doubt)

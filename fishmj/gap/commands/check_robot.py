@@ -50,8 +50,7 @@ class Ratio(NamedTuple):
 def check_robot(args: Any) -> dict:
     """Answers the command: both gaps, by joint too, and the reason of a failure ("" without one). args: of `gap check`.
 
-    Raises:
-        ConfigError: no parent, a parent that changed, or one with other joints. LogError: no log left to judge on.
+    Raises ConfigError: no parent, a parent that changed, or one with other joints; LogError: no log left to judge on.
     """
     refuse_fish_options(args, "gap check")
     context = _searched(args.model) if args.parent is None else None

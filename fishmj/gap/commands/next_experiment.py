@@ -119,11 +119,7 @@ def _opened(args, null: SimulatedNull):
 
 
 def _model_of(context: dict) -> str:
-    """The model of a report, unchanged since then.
-
-    Raises:
-        ConfigError: it is gone, or changed.
-    """
+    """The model of a report, unchanged since then. Raises ConfigError: it is gone, or changed."""
     if not context:
         return "fish"
     if model_version.digest(context["model"]) != context["model_sha256"]:

@@ -78,11 +78,7 @@ def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray
 
 
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[CoastRecord]:
-    """Every log, whole or up to the horizon.
-
-    Raises:
-        LogError: too few rows, too long, or a body that never moves ahead.
-    """
+    """Every log, whole or up to the horizon. Raises LogError: too few rows, too long, or a body that never moves ahead."""
     out, sigma = [], np.array([study.given.noise.speed])
     for log, group in zip(logs, groups, strict=True):
         t, speed = log.series["speed"]

@@ -64,8 +64,7 @@ class Log(NamedTuple):
 def logs_of(study: StudyInput) -> list[Log]:
     """Every record, in order of its name.
 
-    Raises:
-        LogError: no folder, no file, or a table that lacks a column, is damaged, or has impossible numbers.
+    Raises LogError: no folder, no file, or a table that lacks a column, is damaged, or has impossible numbers.
     """
     data = study.given.data
     if data.set is not None:
@@ -227,11 +226,7 @@ def _of_trial(study: StudyInput, name: str, trial: Trial) -> Log:
 
 
 def log_value(log: Log, key: str) -> str | float:
-    """Value of a name in `by` or `where` for a log.
-
-    Raises:
-        LogError: unknown; the known names are listed.
-    """
+    """Value of a name in `by` or `where` for a log. Raises LogError: unknown; the known names are listed."""
     value = log.told.get(key)
     if value is None and log.trial is not None:
         value = log.trial.value(key)

@@ -28,10 +28,7 @@ def sensor(page: dict, model, known: bool = True) -> Sensor | None:
     """(1, 3) values of a page, NaN for a missing table; None for an empty page.
 
     sigma: of the instruments, or the scatter of repeats. known: the description's mass was weighed, to within the error of
-    scales; it counts if the page has no scales.
-
-    Raises:
-        ConfigError: a number is missing or not positive.
+    scales; it counts if the page has no scales. Raises ConfigError: a number is missing or not positive.
     """
     if not known and not page.keys() & {"scales", "balance", "pendulum"}:
         return None

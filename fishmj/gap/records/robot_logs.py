@@ -89,8 +89,7 @@ class RobotColumns(NamedTuple):
 def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str], free: bool = False) -> RobotColumns:
     """The map of a file. free: the model has a free base.
 
-    Raises:
-        LogError: not TOML, an unknown key, or a joint, an actuator or the base of the model without a column.
+    Raises LogError: not TOML, an unknown key, or a joint, an actuator or the base of the model without a column.
     """
     raw, tables = map_table(path), {}
     for table, names in (("joint", joints), ("actuator", actuators), ("base", POSE if free else ())):
@@ -131,8 +130,7 @@ def guess_columns(
         torques: True if the model's actuators take torques, not positions. units: stated by the file beside the names.
         free: the model has a free base.
 
-    Raises:
-        LogError: nothing fits, or two fit as well.
+    Raises LogError: nothing fits, or two fit as well.
     """
     base = _pose_columns(names) if free else {}
     names = [n for n in names if n not in base.values()]
@@ -349,8 +347,7 @@ def read_sheet(path: Path) -> LogTable:
 def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     """One log: commands by actuator (c#) and positions by joint (j#), SI.
 
-    Raises:
-        LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
+    Raises LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
     tables = {}
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):

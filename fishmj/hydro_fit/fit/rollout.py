@@ -63,8 +63,7 @@ def is_free(record: SegmentRecord) -> bool:
 def fish_batch_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], *, seconds: float = 10.0) -> FishBatch:
     """Free swims cut into pieces of `seconds`; a rest shorter than `SHORTEST` is left out.
 
-    Raises:
-        DatasetError: no record swims freely.
+    Raises DatasetError: no record swims freely.
     """
     pieces = []
     for number, record in enumerate(records):

@@ -65,11 +65,7 @@ class TetheredRecords(NamedTuple):
 
 
 def windows_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> Windows:
-    """Overlapping pieces of all free swims.
-
-    Raises:
-        DatasetError: none is long enough.
-    """
+    """Overlapping pieces of all free swims. Raises DatasetError: none is long enough."""
     free = [r for r in records if is_free(r) and r.seconds >= LENGTH]
     if not free:
         raise DatasetError(f"no free swim of {LENGTH:g} s among the records; collect gaits")

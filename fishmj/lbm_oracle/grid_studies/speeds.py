@@ -75,8 +75,7 @@ def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int, **setup
 class SpeedTable:
     """Finished swims in `folder/speeds.json`, beside the set-up that they share.
 
-    Raises:
-        ConfigError: the folder holds another set-up.
+    Raises ConfigError: the folder holds another set-up.
     """
 
     def __init__(self, folder: Path, setup: dict):
@@ -105,8 +104,7 @@ def swim_keys(
 ) -> list[tuple]:
     """Keys (frequency Hz, amplitude deg, lag deg, slip ratio, depth m) of all swims, the short ones first.
 
-    Raises:
-        ConfigError: a frequency or depth that is not positive, an amplitude outside 0 to 90, a slip ratio outside 0 to 1.
+    Raises ConfigError: a frequency or depth that is not positive, an amplitude outside 0 to 90, a slip ratio outside 0 to 1.
     """
     wrong = min(frequencies) <= 0 or min(depths) <= 0 or min(slips) < 0 or max(slips) > 1
     if wrong or min(amplitudes) <= 0 or max(amplitudes) > 90:

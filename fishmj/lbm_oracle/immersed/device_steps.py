@@ -186,8 +186,7 @@ class DeviceSteps:
 
         The same velocities stay held.
 
-        Raises:
-            ConfigError: not a command for every step and servo; no steps are under way, or two sets of them are.
+        Raises ConfigError: not a command for every step and servo; no steps are under way, or two sets of them are.
         """
         if not self.can_queue_next or len(self._queued) != 1:
             raise ConfigError(f"steps on the device: {len(self._queued)} sets under way; `queue_next` goes behind one")
@@ -287,8 +286,7 @@ class DeviceSteps:
         Compared are the servo torques of every step, the final state, and in the last step the velocity that follows from
         MuJoCo's masses and forces with the response of the water that the device found.
 
-        Raises:
-            SimDiverged: they differ by more than `AGREES`.
+        Raises SimDiverged: they differ by more than `AGREES`.
         """
         coupled, body, returned = self.coupled, self.coupled.body, self.returned
         d, n, time = body.data, body.dofs, self.coupled.time

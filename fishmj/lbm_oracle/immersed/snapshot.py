@@ -27,11 +27,7 @@ def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
 
 
 def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
-    """Continues from a snapshot.
-
-    Raises:
-        ConfigError: it belongs to another grid or another fish.
-    """
+    """Continues from a snapshot. Raises ConfigError: it belongs to another grid or another fish."""
     body, data = coupled.body, coupled.body.data
     for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.interior_speed)):
         if state[name].shape != value.shape:
@@ -60,8 +56,7 @@ def save(path: str | Path, coupled: FluidStructure, **notes) -> Path:
 def load(path: str | Path, coupled: FluidStructure) -> dict:
     """Continues a coupled run from a file; returns its notes.
 
-    Raises:
-        ConfigError: another schema, grid or fish. StoreError: the file is damaged.
+    Raises ConfigError: another schema, grid or fish; StoreError: the file is damaged.
     """
     state, meta = read_tensors(path)
     lattice, shape = coupled.fluid.lattice, list(coupled.fluid.extent)

@@ -141,8 +141,7 @@ class SwimSetup:
     def coupled(self, body: ImmersedBody | None = None) -> FluidStructure:
         """Fish and water as `assembled`, with the fish of the description unless another body of its links is given.
 
-        Raises:
-            OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
+        Raises OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
         """
         domain = self.domain.body_level
         made = self.assembled(body or ImmersedBody.of(self.robot, self.root, domain.dt))

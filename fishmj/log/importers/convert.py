@@ -87,11 +87,7 @@ def _sources(entry: TableMap) -> list[str]:
 
 
 def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet:
-    """The one sheet that holds all columns of a table.
-
-    Raises:
-        LogError: none holds them all, or several do.
-    """
+    """The one sheet that holds all columns of a table. Raises LogError: none holds them all, or several do."""
     wanted = set(_sources(entry))
     fitting = [sheet for sheet in sheets if wanted <= set(sheet.columns) and (entry.file is None or _fits(sheet, entry.file))]
     if len(fitting) > 1 and (whole := _of_parts(fitting, entry)):
@@ -311,8 +307,7 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
 def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
     """Refuses tables of one swim without a common instant; commands may be sent a minute ahead of it.
 
-    Raises:
-        LogError: names the tables, and the offset that would align them.
+    Raises LogError: names the tables, and the offset that would align them.
     """
     spans = {table: (float(columns["t"][0]), float(columns["t"][-1])) for table, columns in tables.items()}
     for early, (_, end) in spans.items():

@@ -24,11 +24,7 @@ def unclear(guesses: Iterable[Guess]) -> list[Guess]:
 
 
 def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, where: str) -> ColumnMap:
-    """Map from the guesses, without unclear ones.
-
-    Raises:
-        LogError: nothing is left.
-    """
+    """Map from the guesses, without unclear ones. Raises LogError: nothing is left."""
     tables: dict[str, dict] = {}
     for k in range(len(found)):
         mine = [g for g in guesses if g.kind == k and g.state == TAKEN]
@@ -130,8 +126,7 @@ def first_unclear(found: Guesses) -> str:
 def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     """Checks that nothing is unclear and that the user agrees, by `yes` or on the terminal.
 
-    Raises:
-        LogError: a column is unclear, or the user does not agree.
+    Raises LogError: a column is unclear, or the user does not agree.
     """
     doubts = [(f"{bare(kinds[g.kind].sheets[0].name)}: " * (len(kinds) > 1), g) for kinds, made in found for g in unclear(made)]
     if doubts:

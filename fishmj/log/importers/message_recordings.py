@@ -50,8 +50,7 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, no
         own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
         notes: remarks of the file's reader.
 
-    Raises:
-        LogError: a topic, field or value does not match the mapping; file:topic[message]:field.
+    Raises LogError: a topic, field or value does not match the mapping; file:topic[message]:field.
     """
     stamps, columns, told = {}, {}, []
     for name, entry in wanted.tables.items():
@@ -216,8 +215,7 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
 def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
     """Sheets of all topics whose messages hold numbers, spread over columns: `pose.position.x`; stamps as s since 1970.
 
-    Raises:
-        LogError: no such topic, or a message that does not decode.
+    Raises LogError: no such topic, or a message that does not decode.
     """
     rows: dict[str, _Rows] = {}
     notes = list(notes)
@@ -407,8 +405,7 @@ def _is_joint_state(content: dict) -> bool:
 def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
     """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by position if it has none.
 
-    Raises:
-        LogError: a name appears twice, or there are positions for some of the names only.
+    Raises LogError: a name appears twice, or there are positions for some of the names only.
     """
     names = _names(content) or []
     if len(set(names)) < len(names):
@@ -432,8 +429,7 @@ def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
 def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
     """Columns `command.NAME` by the message's own names: the angles of its first point.
 
-    Raises:
-        LogError: there are angles for some of the names only.
+    Raises LogError: there are angles for some of the names only.
     """
     names, points = _names(content) or [], content.get("points") or [{}]
     values = points[0].get("positions") or []

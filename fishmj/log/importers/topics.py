@@ -71,11 +71,7 @@ def by_name(topics: set[str]) -> Topics:
 
 
 def read_topics(path: str | Path) -> Topics:
-    """Reads the TOML.
-
-    Raises:
-        LogError: not TOML (line and column), or a key, table or unit that is not known (named).
-    """
+    """Reads the TOML. Raises LogError: not TOML (line and column), or a key, table or unit that is not known (named)."""
     path = Path(path)
     try:
         spec = parse_toml(read_text(path), str(path))

@@ -43,8 +43,7 @@ class NumberRows:
 def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> NumberRows:
     """Reads numbers in as many columns as one of `layouts` names, separated by `separator` ("" = blanks).
 
-    Raises:
-        LogError: at file:line:column: a number of columns that no layout has, text, a blank, a decimal comma, NaN.
+    Raises LogError: at file:line:column: a number of columns that no layout has, text, a blank, a decimal comma, NaN.
     """
     path = Path(path)
     field = re.compile(rf"[^{re.escape(separator)}]*") if separator else re.compile(r"\S+")
@@ -70,8 +69,7 @@ def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> Num
 def without_strays(rows: NumberRows, stamp: str) -> tuple[NumberRows, list[str]]:
     """Rows without single strays whose stamp falls behind the rows around them, and a note on these.
 
-    Raises:
-        LogError: more than one row in a hundred (or the only ones) go back: the clock was set, or the rows are not in order.
+    Raises LogError: more than one row in a hundred (or the only ones) go back: the clock was set, or the rows are not in order.
     """
     t = rows.column(stamp)
     ceiling = np.minimum.accumulate(t[::-1])[::-1]  # the smallest stamp from here on: later rows must not fall behind

@@ -115,8 +115,7 @@ def joints_of(length: float, links: int, head: float | None = None) -> list[floa
 def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
     """Links between the joints [m from the nose], without masses yet (1 kg each).
 
-    Raises:
-        ConfigError: joints do not rise, lie outside the fish or leave a link shorter than a fiftieth of it.
+    Raises ConfigError: joints do not rise, lie outside the fish or leave a link shorter than a fiftieth of it.
     """
     total = round(outline.length, 6)
     edges = [0.0, *(round(x, 5) for x in joints), total]

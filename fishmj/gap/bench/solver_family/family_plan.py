@@ -87,11 +87,7 @@ def cut(what: Excitation, seconds: float) -> Excitation:
 
 
 def planned(asked: PlanSettings, tick=lambda done: None) -> FamilyPlan:
-    """Draws the whole plan. tick: receives the number of finished robots.
-
-    Raises:
-        ConfigError, UnknownName: no such model.
-    """
+    """Draws the whole plan. tick: receives the number of finished robots. Raises ConfigError, UnknownName: no such model."""
     descriptions = {name: load_robot(source) for name, source in asked.models.items()}
     found: dict[tuple[int, int], PlannedRobot] = {}
     for number, name in enumerate(asked.models):
@@ -160,11 +156,7 @@ def write(plan: FamilyPlan, folder: Path) -> None:
 
 
 def read(folder: Path) -> FamilyPlan:
-    """The plan of a folder.
-
-    Raises:
-        StoreError: there is none, or it is invalid.
-    """
+    """The plan of a folder. Raises StoreError: there is none, or it is invalid."""
     told: dict[str, Any] = read_json(folder / FILE)
     if told.get("schema") != SCHEMA:
         raise StoreError(f"{folder / FILE}: schema {told.get('schema')!r}, expected {SCHEMA!r}")

@@ -67,11 +67,7 @@ def able(generator: str, outside: bool = False, family: str = "") -> tuple[str, 
 
 
 def draw_session(generator: str, family: str, names: Sequence[str], seed: int, logs: int, seconds: float) -> RobotSession:
-    """A session with the effects `names` hidden in it.
-
-    Raises:
-        FloatingPointError: every drawn robot ran away, or none fits.
-    """
+    """A session with the effects `names` hidden in it. Raises FloatingPointError: every drawn robot ran away, or none fits."""
     for attempt in range(PLANS):
         rng = np.random.default_rng([seed, 41, attempt])
         if family == QUADROTOR:

@@ -158,8 +158,7 @@ def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float
 
     Missing values are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their null.
 
-    Raises:
-        UnknownName, ConfigError: no such effect here, no number, a value out of bounds, an effect twice, none left to draw.
+    Raises UnknownName, ConfigError: no such effect here, no number, a value out of bounds, an effect twice, none left to draw.
     """
     known = hidden()
     out: dict[str, dict[str, float]] = {}

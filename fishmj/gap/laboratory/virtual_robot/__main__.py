@@ -88,11 +88,7 @@ def _runs(text: str, logs: int | None) -> list[str]:
 
 
 def stream(text: str) -> tuple[float, float]:
-    """Parses `0.2,3.14`: speed [m/s] and direction [rad].
-
-    Raises:
-        ArgumentTypeError: no two numbers in their ranges.
-    """
+    """Parses `0.2,3.14`: speed [m/s] and direction [rad]. Raises ArgumentTypeError: no two numbers in their ranges."""
     parts = text.split(",")
     if len(parts) != 2:
         raise ArgumentTypeError(f"got {text[:40]!r}, expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")

@@ -166,8 +166,7 @@ class SegmentRunner:
 def on_device(waiting: Waiting, device: str, go_on: GoOn = never_stop, *, setup: Setup, tanks: int = 1) -> Iterator[Finished]:
     """Runs the waiting segments, `tanks` at a time, on one of several devices (`spread`).
 
-    Raises:
-        ConfigError, OracleUnstable: a segment could not be set up.
+    Raises ConfigError, OracleUnstable: a segment could not be set up.
     """
     return side_by_side(waiting, partial(SegmentRunner, setup=replace(setup, device=device)), tanks=tanks, go_on=go_on)
 
