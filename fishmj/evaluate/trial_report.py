@@ -142,10 +142,10 @@ def number(x: float, form: str) -> str:
     return format(x, form) if isfinite(x) else "-"
 
 
-def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
+def by_condition(summary: dict, which: str) -> list[dict]:
     """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
     head = {"by_speed": "flow [m/s]", "by_los": "los [deg]" if summary.get("task") != ANGLE else "angle [deg]"}[which]
-    order, has = sorted(summary[which], key=float), [k for k in keys if k in summary["overall"]]
+    order, has = sorted(summary[which], key=float), [k for k in MAIN if k in summary["overall"]]
     return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in has}} for name in order]
 
 

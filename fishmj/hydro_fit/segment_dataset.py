@@ -82,9 +82,9 @@ class SegmentDataset:
             and (slip is None or abs(meta["grid"]["slip"] - slip) < 1e-9)
         ]
 
-    def records(self, split: str, *, block: str | None = None, slip: float | None = None) -> Iterator[SegmentRecord]:
+    def records(self, split: str, *, slip: float | None = None) -> Iterator[SegmentRecord]:
         """The segments of one split, read one at a time; arguments and errors as in `names`."""
-        return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, block=block, slip=slip))
+        return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, slip=slip))
 
     def __getitem__(self, name: str) -> SegmentRecord:
         """Reads one segment by id; errors as in `names`."""

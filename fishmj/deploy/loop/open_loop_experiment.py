@@ -123,12 +123,12 @@ def unpoliced(link: RobotLink, robot: Robot, at_the_tank: bool) -> Callable[[Rob
 
 def play(
     rig: Rig, run: ExperimentRun, folder: Path, meta: Mapping[str, Any], *, medium: str = "water", wait: float = 10.0,
-    stop: Callable[[], bool] = lambda: False, person: bool = False, bound: float = inf,
+    stop: Callable[[], bool] = lambda: False, bound: float = inf,
 ) -> tuple[SwimOutcome, Trial | None]:  # fmt: skip
     """Plays one experiment on a rig; the host's whole log stays in `folder`.
 
     Args:
-        medium: "air" if the fish hangs and no camera is needed. stop, person: as `SwimLoop`. bound: m, as `SwimPlan`.
+        medium: "air" if the fish hangs and no camera is needed. stop: as `SwimLoop`. bound: m, as `SwimPlan`.
 
     Returns:
         the outcome, and the trial for a data set; None if it did not play to the end.
@@ -136,7 +136,7 @@ def play(
     plan = SwimPlan(seconds=run.what.seconds, wait=wait, pose=medium == "water", bound=bound)
     told = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
     with TrialLog(folder, told, rig.robot.n_joints) as log:
-        outcome = SwimLoop(rig, PlayedPilot(run.what.commands), plan, log, stop=stop, person=person).run()
+        outcome = SwimLoop(rig, PlayedPilot(run.what.commands), plan, log, stop=stop).run()
     if not outcome.complete:
         return outcome, None
     return outcome, kept(read_trial(folder), run)

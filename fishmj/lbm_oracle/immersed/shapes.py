@@ -273,7 +273,7 @@ def solid_moments(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, np.nd
     return volume, centre, np.trace(second) * np.eye(3) - second
 
 
-def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: float, link: int = 0) -> Markers:
+def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: float) -> Markers:
     """Markers of a closed surface about a cell of dx m apart, drawn in by the kernel's offset; the same ones each time.
 
     Raises ConfigError: the surface is thinner than the offset on both sides.
@@ -303,7 +303,7 @@ def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: floa
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     flat = np.linalg.norm(normal, axis=1) < 0.5  # two sides of a part without thickness
     normal[flat] = [0.0, 0.0, 1.0]
-    return Markers.rigid(seeds[used, :3] * dx, normal, share[used] * area / len(points), link=link)
+    return Markers.rigid(seeds[used, :3] * dx, normal, share[used] * area / len(points))
 
 
 def _area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

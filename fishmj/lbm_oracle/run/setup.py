@@ -57,9 +57,9 @@ class Gait:
             numbers(f"gait: {name}", value, np.shape(value))
 
     @classmethod
-    def of_the_paper(cls, second: bool = True, joints: int = 3) -> "Gait":
-        """Calibration swim of the paper: 1 Hz, 30 deg on all joints; `second` with 60 deg lag, otherwise in phase."""
-        lag = constant("calibration", "phase_lag_second_deg" if second else "phase_lag_deg")[0]
+    def of_the_paper(cls, joints: int = 3) -> "Gait":
+        """Calibration swim of the paper: 1 Hz, 30 deg on all joints, 60 deg lag."""
+        lag = constant("calibration", "phase_lag_second_deg")[0]
         amplitude = radians(constant("calibration", "amplitude_deg"))
         return cls(joints=joints, frequency=constant("calibration", "frequency"), amplitude=amplitude, lag=radians(lag))
 
