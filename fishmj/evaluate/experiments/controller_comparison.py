@@ -10,6 +10,7 @@ from fishmj.base.figures import canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
 from fishmj.evaluate import metrics
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, rounded, series_row
 from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentFindings,
     ExperimentPart,
@@ -17,12 +18,6 @@ from fishmj.evaluate.experiments.paper_experiment import (
     PaperExperiment,
     PaperFinding,
     Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    rounded,
-    series_row,
 )
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, LOGARITHMIC, RADAR, STYLE, plain_ticks, polar, radar_figure

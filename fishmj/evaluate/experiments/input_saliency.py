@@ -14,16 +14,8 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.figures import BLUE, VERMILION, canvas, png, style
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
-from fishmj.evaluate.experiments.paper_experiment import (
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    read,
-    rounded,
-)
+from fishmj.evaluate.experiments.experiment_figures import compared, read, rounded
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import STYLE
 from fishmj.tasks.station_hold import spans

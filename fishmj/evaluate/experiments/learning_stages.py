@@ -7,6 +7,7 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
 from fishmj.evaluate.experiments.approach_target import SIDES
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, series_row
 from fishmj.evaluate.experiments.experiment_training import learning_curve, settings_of, sim_seconds, train_stages
 from fishmj.evaluate.experiments.paper_experiment import (
     Done,
@@ -15,11 +16,6 @@ from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentSetup,
     PaperExperiment,
     Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    series_row,
 )
 from fishmj.evaluate.plots import COLOURS, INK, STYLE
 from fishmj.train.settings import Settings
