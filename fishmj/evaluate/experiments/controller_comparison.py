@@ -190,19 +190,27 @@ def tested(rows: dict[str, Row]) -> dict[str, list[dict[str, Any]]]:
     return tables
 
 
+def panels(rows: dict[str, Row], wide: float, high: float):
+    """Figure `wide` inches wide with a panel, `high` inches high, for each controller; and (axis, row, colour) of each panel."""
+    lines = -(-len(rows) // 4)
+    figure, axes = canvas(lines, 4, (wide, high * lines), sharex=True, sharey=True)
+    for axis in axes.ravel()[len(rows) :]:
+        axis.set_axis_off()
+    for axis, name in zip(axes.ravel(), rows, strict=False):
+        axis.set(title=drawn(name))
+    return figure, zip(axes.ravel(), rows.values(), COLOURS * 3, strict=False)
+
+
 @style(STYLE)
 def curves(rows: dict[str, Row]) -> bytes:
     """Distance over time, one panel for each controller."""
-    wide = 4
-    figure, axes = canvas(-(-len(rows) // wide), wide, (14, 2.6 * -(-len(rows) // wide)), sharex=True, sharey=True)
-    for axis in axes.ravel()[len(rows) :]:
-        axis.set_axis_off()
-    for axis, (name, row), colour in zip(axes.ravel(), rows.items(), COLOURS * 3, strict=False):
+    figure, each = panels(rows, 14, 2.6)
+    for axis, row, colour in each:
         t, distance = read(row["t"]), read(row["distance"])
         axis.plot(t, distance.T, color=colour, linewidth=0.4, alpha=0.4)
         axis.plot(t, np.median(distance, 0), color=colour, linewidth=2.2)
         axis.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
-        axis.set(title=drawn(name), ylim=(0, 2.5))
+        axis.set(ylim=(0, 2.5))
     figure.supxlabel("time [s]")
     figure.supylabel("distance [m]")
     return png(figure)
@@ -211,15 +219,12 @@ def curves(rows: dict[str, Row]) -> bytes:
 @style(STYLE)
 def tracks(rows: dict[str, Row]) -> bytes:
     """Tracks to the target, one panel for each controller."""
-    wide = 4
-    figure, axes = canvas(-(-len(rows) // wide), wide, (12, 3.2 * -(-len(rows) // wide)), sharex=True, sharey=True)
-    for axis in axes.ravel()[len(rows) :]:
-        axis.set_axis_off()
-    for axis, (name, row), colour in zip(axes.ravel(), rows.items(), COLOURS * 3, strict=False):
+    figure, each = panels(rows, 12, 3.2)
+    for axis, row, colour in each:
         for side, upstream in row["tracks"]:
             axis.plot(-read(side), read(upstream), color=colour, linewidth=1)
         axis.plot(0, 0, "+", color=INK, markersize=10)
-        axis.set(title=drawn(name), xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
+        axis.set(xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
     figure.supxlabel("right of the target, facing upstream [m]")
     figure.supylabel("upstream of it [m]")
     return png(figure)

@@ -53,9 +53,7 @@ def answer(plant, records: list[Record]) -> BaselineAnswer:
     force, term, size = max(found, key=lambda f: f[2])
     name = STANDS_FOR.get((force, term), "")
     said = f"{force} acceleration ~ {term}, {size:.1f} standard deviations"
-    if name not in {e.name for e in plant.active.effects}:
-        return BaselineAnswer({}, True, said)
-    return BaselineAnswer({name: unsized(plant, name)}, True, said)
+    return unsized(plant, name, said)
 
 
 def equations(plant, parts, error: np.ndarray, start: np.ndarray):
