@@ -12,11 +12,7 @@ WAITING = (SwimState.DOWN, SwimState.LINKED, SwimState.ARMED)
 
 
 class StatusLine:
-    """A progress line over the seconds of a swim.
-
-    Args:
-        seconds: of the swim. quiet: show nothing.
-    """
+    """A progress line over the seconds of a swim. seconds: of the swim. quiet: show nothing."""
 
     def __init__(self, seconds: float, quiet: bool = False):
         self._bar = None if quiet else console.Progress(seconds, "swim", "s")

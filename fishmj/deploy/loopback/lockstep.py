@@ -23,11 +23,7 @@ from fishmj.gap.laboratory import random_streams
 
 
 class LockstepClock:
-    """The host's clock.
-
-    Args:
-        origin: its value, s, at the robot's time 0; the two differ, as for any host and robot.
-    """
+    """The host's clock. origin: its value, s, at the robot's time 0; the two differ, as for any host and robot."""
 
     def __init__(self, robot: LoopbackRobot, origin: float = 100.0):
         self.robot, self.origin = robot, origin

@@ -93,11 +93,7 @@ def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, second
 
 
 class MonitorProcess:
-    """The monitor's process: started when a swim needs it, ended by `close`; a context.
-
-    Args:
-        words: its command line.
-    """
+    """The monitor's process: started when a swim needs it, ended by `close`; a context. words: its command line."""
 
     def __init__(self, words: Sequence[str] = (sys.executable, "-m", PROCESS)):
         self.words = list(words)

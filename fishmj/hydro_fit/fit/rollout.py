@@ -132,11 +132,7 @@ def padded(fleet: FishBatch, like: FishBatch) -> FishBatch:
 
 
 class SwimWindow:
-    """Free swims of one robot in JAX.
-
-    Args:
-        swimmer: the fish; `run` replaces its water.
-    """
+    """Free swims of one robot in JAX. swimmer: the fish; `run` replaces its water."""
 
     def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer):
         self.chain, self.swimmer = ch, swimmer

@@ -331,9 +331,7 @@ class ConcurrentRuns:
     def tick(self, commands=None) -> list[int]:
         """Advances all runs by one bus tick; commands (B, J) rad, or None for prescribed joints.
 
-        Returns the indices still swimming.
-
-        Raises ConfigError if there is not one command for every tank.
+        Returns the indices still swimming. Raises ConfigError if there is not one command for every tank.
         """
         for _ in self.ticking(commands):
             pass
