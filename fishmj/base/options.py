@@ -326,5 +326,5 @@ def _writable(where: Path, folder: Path) -> None:
         with tempfile.TemporaryFile(dir=there):  # tried, because permissions alone say nothing to root or of /proc
             pass
     except OSError as error:
-        said = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
-        raise argparse.ArgumentTypeError(said) from error
+        message = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
+        raise argparse.ArgumentTypeError(message) from error

@@ -148,8 +148,8 @@ def read_card(source: str | Path) -> PolicyCard:
         return make_card(source, ())
     card = _checked(read_json(path), str(path))
     if card.sha256 != (digest := sha256(file_of(source))):
-        said = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}"
-        raise ConfigError(f"{said}; make it again with `fishmj policy {source} --judged DIR ..`, or remove it")
+        message = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}"
+        raise ConfigError(f"{message}; make it again with `fishmj policy {source} --judged DIR ..`, or remove it")
     return card
 
 

@@ -400,8 +400,8 @@ def _write(
     """Writes the trials that convert, and adds the others to `found.skipped`. Returns rows, notes, the manifest's meta."""
     rows: list[dict] = []
     notes: dict[str, list[str]] = {}
-    told: dict[str, str] = {}  # filled before the manifest, which comes last
-    said: dict[str, set[str]] = {"licence": set(), "source": set()}
+    about: dict[str, str] = {}  # filled before the manifest, which comes last
+    stated: dict[str, set[str]] = {"licence": set(), "source": set()}
 
     def trials() -> Iterator[tuple[str, Trial]]:
         with console.Progress(len(found.trials), "import", unit="trials") as bar:
@@ -417,35 +417,35 @@ def _write(
                         _refuse_bad(args, found)
                     continue
                 notes[name] = list(trial.notes)
-                for key, values in said.items():
+                for key, values in stated.items():
                     values |= {str(value)} if (value := trial.value(key)) else set()
                 yield name, trial
                 if bar.elapsed > SOON:
                     bar.update(i + 1)
-        told.update({"format": found.format} | {key: "; ".join(sorted(values))[:500] for key, values in said.items() if values})
+        about.update({"format": found.format} | {key: "; ".join(sorted(words))[:500] for key, words in stated.items() if words})
 
     made = trials()
     if (first := next(made, None)) is None:
         _nothing(args, found)
     try:
-        write_dataset(args.out, chain([first], made), meta=told, page=found.page or None)
+        write_dataset(args.out, chain([first], made), meta=about, page=found.page or None)
     except BaseException:
         shutil.rmtree(args.out, ignore_errors=True)  # it did not exist before
         raise
-    return rows, notes, told
+    return rows, notes, about
 
 
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     """Trial with the command line's meta data, which take precedence over those of the file."""
-    said = dict(meta)
-    if (bounds := said.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
-        said[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
-    whole = {"origin": "measured", **trial.meta, **said}
+    stated = dict(meta)
+    if (bounds := stated.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
+        stated[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
+    whole = {"origin": "measured", **trial.meta, **stated}
     notes = list(trial.notes)
-    joints = said.get("joints")
+    joints = stated.get("joints")
     has = max((len([c for c in columns if c[0] in "cj" and c[1:].isdecimal()]) for columns in trial.tables.values()), default=0)
     if joints and has and has != joints:
-        notes.append(f"the robot {said.get('robot')} has {joints} joints, the columns tell of {has}")
+        notes.append(f"the robot {stated.get('robot')} has {joints} joints, the columns tell of {has}")
     return replace(trial, meta=whole, name=name, notes=tuple(_line(note) for note in notes))
 
 

@@ -340,10 +340,10 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         return
     if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False or (turned <= TURN and not ahead):
         return
-    told = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
+    message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
     near = round(mean / 90) * 90
     if turned > TURN and near and abs(mean - near) < NEAR:
-        yield IMPORT, f"{told}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
+        yield IMPORT, f"{message}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
         return
     compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
     if near and abs(mean - near) < NEAR:
@@ -352,7 +352,7 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         cause = "a compass heading, clockwise from north (give columns.yaw sign = -1 and a zero of 90 deg)"
     else:
         cause = "another zero of the heading"
-    yield NOTE, f"{told}: {cause}, or a current carries it"
+    yield NOTE, f"{message}: {cause}, or a current carries it"
 
 
 def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:

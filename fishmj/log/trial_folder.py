@@ -174,11 +174,11 @@ def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
     try:
         meta = parse_toml(text, str(path))
     except ConfigError as error:
-        told = str(error).removeprefix(f"{path}: ")
-        found = re.search(r"\(at line (\d+), column (\d+)\)", told) or re.search(r"(?:^|TOML: )line (\d+)()", told)
+        message = str(error).removeprefix(f"{path}: ")
+        found = re.search(r"\(at line (\d+), column (\d+)\)", message) or re.search(r"(?:^|TOML: )line (\d+)()", message)
         at = f":{found[1]}:{found[2] or 1}" if found else ":1:1"
-        fix = "; text needs quotes, numbers a decimal point" if told.startswith("not valid TOML") else ""
-        raise LogError(f"{path}{at}: {told}{fix}") from error
+        fix = "; text needs quotes, numbers a decimal point" if message.startswith("not valid TOML") else ""
+        raise LogError(f"{path}{at}: {message}{fix}") from error
     return meta, trial_check.check_meta(meta, str(path))
 
 

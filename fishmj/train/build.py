@@ -236,10 +236,10 @@ class OwnAlgorithm:
         try:
             policy = policy_of(self.policy_layers(training.actor), self.settings, {})
         except Exception as error:
-            said = " ".join(str(error).split())[:200]
+            message = " ".join(str(error).split())[:200]
             raise OwnCodeError(
                 f"{self.what}: init gave no training whose `actor` is a list of (weights (in, out), bias (out,)) from "
-                f"{self.env.n_input} inputs to {self.env.n_act} actions; turned for the file: {said}"
+                f"{self.env.n_input} inputs to {self.env.n_act} actions; turned for the file: {message}"
             ) from error
         if self.settings.task.get("memory", 1) > 1 or self.settings.task.get("hide"):
             return  # a window of past observations, or weights that are cut: not one observation in, one action out

@@ -62,8 +62,8 @@ def prior_of(robot: Robot) -> Prior:
     """
     links = len(robot.links)
     if any(robot.water.get(key, unset) != unset for key, unset in strip_forces.SHAPE.items()):
-        said = f"{robot.name} [water] {', '.join(strip_forces.SHAPE)}: a water is fitted to the solver without them"
-        raise ConfigError(f"{said}; leave them out of the description that hydro_fit starts from")
+        text = f"{robot.name} [water] {', '.join(strip_forces.SHAPE)}: a water is fitted to the solver without them"
+        raise ConfigError(f"{text}; leave them out of the description that hydro_fit starts from")
     c = strip_forces.coefficients(robot.water, links)
     names, mean = names_of(links), flat(c)
     kinds = [name.rstrip("0123456789") for name in names]

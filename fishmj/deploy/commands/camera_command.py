@@ -79,8 +79,8 @@ def main(argv: list[str]) -> int:
         f"written to {args.out}",
     )
     if args.json:
-        told = {"pictures": len(lens.used), "lens_rms_px": lens.rms, "marks_rms_m": fit.rms, "worst_m": worst}
-        console.emit_json({**told, "camera": fit.calibration.camera, "out": args.out})
+        result = {"pictures": len(lens.used), "lens_rms_px": lens.rms, "marks_rms_m": fit.rms, "worst_m": worst}
+        console.emit_json({**result, "camera": fit.calibration.camera, "out": args.out})
     if fit.rms <= ROUGH:
         return console.OK
     console.warn(

@@ -87,8 +87,8 @@ def pdf(pages: list[Page]) -> bytes:
             axes.plot([left, left + RULE], [15, 15], color="black", lw=0.5)
             for x in np.arange(0, RULE + 1, 10):
                 axes.plot([left + x] * 2, [15, 19 if x % 50 == 0 else 17], color="black", lw=0.5)
-            told = "print at 100 %, not fitted to the page: this rule is 100 mm"
-            axes.text(width / 2, 8, f"{page.label}\n{told}", ha="center", va="center", fontsize=8)
+            text = "print at 100 %, not fitted to the page: this rule is 100 mm"
+            axes.text(width / 2, 8, f"{page.label}\n{text}", ha="center", va="center", fontsize=8)
             file.savefig(figure)
     return out.getvalue()
 

@@ -106,14 +106,14 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
     mcap = _mcap(out, robot) if args.mcap and outcome.cause else None
     console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else "") if outcome.cause else outcome.words)
     if args.json:
-        told: dict[str, Any] = {
+        result: dict[str, Any] = {
             "complete": outcome.complete,
             "torque_off": outcome.released,
             "swum_s": round(outcome.swum, 3),
             "ended_by": outcome.words,
             "out": out,
         }
-        console.emit_json({**told, "mcap": mcap, "figures": outcome.figures})
+        console.emit_json({**result, "mcap": mcap, "figures": outcome.figures})
     return console.OK if outcome.complete and outcome.released is not False else console.FAILED_CHECK
 
 

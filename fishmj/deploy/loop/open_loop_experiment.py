@@ -105,14 +105,14 @@ class SineGait(NamedTuple):
         if not amplitude > 0.0:
             raise ConfigError(f"gait: amplitude {self.amplitude_deg:g} deg; expected above 0")
         if amplitude + abs(bias) > servo.range:
-            told = f"amplitude {self.amplitude_deg:g} and bias {self.bias_deg:g} deg reach {degrees(amplitude + abs(bias)):g} deg"
-            raise ConfigError(f"gait: {told}, the servos of {robot.name} {degrees(servo.range):g}; take less of either")
+            text = f"amplitude {self.amplitude_deg:g} and bias {self.bias_deg:g} deg reach {degrees(amplitude + abs(bias)):g} deg"
+            raise ConfigError(f"gait: {text}, the servos of {robot.name} {degrees(servo.range):g}; take less of either")
         fastest = min(servo.speed_no_load, RATE)
         if (needed := 2 * pi * frequency * amplitude) > fastest:
             most = fastest / (2 * pi * amplitude)
-            told = f"{frequency:g} Hz at {self.amplitude_deg:g} deg turns at {needed:.3g} rad/s"
+            text = f"{frequency:g} Hz at {self.amplitude_deg:g} deg turns at {needed:.3g} rad/s"
             bound = f"a joint of {robot.name} at {fastest:.3g} at most"
-            raise ConfigError(f"gait: {told}, {bound}; take {most:.2g} Hz or less, or a smaller amplitude")
+            raise ConfigError(f"gait: {text}, {bound}; take {most:.2g} Hz or less, or a smaller amplitude")
         return excitation.gait(frequency, amplitude, lag, bias, seconds, robot.n_joints, robot.timing.bus_dt)
 
 
@@ -134,8 +134,8 @@ def play(
         the outcome, and the trial for a data set; None if it did not play to the end.
     """
     plan = SwimPlan(seconds=run.what.seconds, wait=wait, pose=medium == "water", bound=bound)
-    told = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
-    with TrialLog(folder, told, rig.robot.n_joints) as log:
+    about = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
+    with TrialLog(folder, about, rig.robot.n_joints) as log:
         outcome = SwimLoop(rig, PlayedPilot(run.what.commands), plan, log, stop=stop).run()
     if not outcome.complete:
         return outcome, None

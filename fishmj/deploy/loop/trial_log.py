@@ -311,8 +311,8 @@ def trial_of(raw: Mapping[str, Table], zero: float, meta: Mapping[str, Any], nam
         tables["pose"] = {"t": pose["t_taken"] - zero + late, **rest, **stamps}
         clock["pose"], latency["pose"] = "host, frame taken plus latency.pose", late
     tables = {table: _rising(columns) for table, columns in tables.items()}
-    told = {**meta, "clock": {table: clock[table] for table in tables}, **({"latency": latency} if latency else {})}
-    return Trial(told, tables, name=name)
+    about = {**meta, "clock": {table: clock[table] for table in tables}, **({"latency": latency} if latency else {})}
+    return Trial(about, tables, name=name)
 
 
 def write_whole(folder: Path, trial: Trial) -> None:

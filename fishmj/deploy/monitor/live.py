@@ -266,7 +266,7 @@ class LiveMonitor:
         """Writes the table `monitor` of the trial's meta data."""
         w = self.watched
         learnt = [str(path) for path in w.healthy] or f"the first {w.settle:g} s"
-        told: dict[str, Any] = {"model": w.model, "rate": w.rate, "learnt_from": learnt, **self._end}
-        told |= {"failed": self.failed} if self.failed else {}
-        told["alarms"] = [{"t": a.t, "channel": a.channel, "probe": a.probe, "sign": a.sign} for a in self.alarms]
-        self.log.meta["monitor"] = told
+        note: dict[str, Any] = {"model": w.model, "rate": w.rate, "learnt_from": learnt, **self._end}
+        note |= {"failed": self.failed} if self.failed else {}
+        note["alarms"] = [{"t": a.t, "channel": a.channel, "probe": a.probe, "sign": a.sign} for a in self.alarms]
+        self.log.meta["monitor"] = note

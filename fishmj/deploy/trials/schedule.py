@@ -69,7 +69,7 @@ def stream_direction(waters: Mapping[float, TankWater]) -> float:
 def condition_of(place: Place, water: TankWater | None) -> dict[str, Any]:
     """Meta data of a trial on its condition and its water."""
     spec = place.spec
-    told: dict[str, Any] = {
+    about: dict[str, Any] = {
         "condition": {"speed": spec.speed, "los_deg": round(float(np.degrees(spec.los)), 3), "repeat": spec.repeat},
         "seed": int(spec.seed[0]),
         "excitation": "station holding",
@@ -77,9 +77,9 @@ def condition_of(place: Place, water: TankWater | None) -> dict[str, Any]:
         "source": "fishmj deploy trials",
     }
     if water is not None:
-        told["pump"] = {"setting": water.pump, "intensity": water.intensity}
-        told["pump"] |= {} if water.length is None else {"length": water.length}
-    return told
+        about["pump"] = {"setting": water.pump, "intensity": water.intensity}
+        about["pump"] |= {} if water.length is None else {"length": water.length}
+    return about
 
 
 class Session:

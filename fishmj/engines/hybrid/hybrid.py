@@ -213,9 +213,9 @@ class Hybrid:
         """Report: options, segments by time, factors and stream with their standard deviations, and the reason of the end."""
         o, state = self.options, self.states[fish] if self.states else online_correction.fresh()
         covered = len(self.rows[fish]) * (o.lead + o.span) if self.rows else 0.0
-        told = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
+        base = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
         share = covered / max((self._last + 1) * self.size, self.size)
-        return {**told, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
+        return {**base, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
 
     # ---- the record ----
 

@@ -159,8 +159,8 @@ def gap_closed(rows: dict[str, Row], key: str) -> PaperFinding:
     share = lambda rival, ours, bound: (rival - ours) / (rival - bound)
     means, drawn_means = [x.mean() for x in three], [metrics.resampled(x).mean(-1) for x in three]
     if np.quantile(drawn_means[0] - drawn_means[2], 0.025) <= 0:
-        said = f"{means[0]:.3f} and {means[2]:.3f} m, {leader} {means[1]:.3f} m"
-        return PaperFinding(what, "", f"no gap within the scatter: {said}", n=n)
+        message = f"{means[0]:.3f} and {means[2]:.3f} m, {leader} {means[1]:.3f} m"
+        return PaperFinding(what, "", f"no gap within the scatter: {message}", n=n)
     low, high = np.quantile(share(*drawn_means), [0.025, 0.975])
     return PaperFinding(what, "", f"{share(*means):.2f} ({low:.2f} {high:.2f})", float(share(*means)), float(low), float(high), n)
 

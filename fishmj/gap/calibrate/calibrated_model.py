@@ -116,14 +116,14 @@ def _relabel(lines: list[str], head: int, names: list[str], source: str, *, whol
 
     whole: all numbers of the block were fitted.
     """
-    said = f"calibrated from {bare(source, 120)}"
+    message = f"calibrated from {bare(source, 120)}"
     for i in range(head, len(lines)):
         text, mark, comment = lines[i].partition("#")
         if i > head and (text.strip() or not mark):
             break
         if mark and GUESSED.search(comment):
             rest = "" if whole else f"; the rest {comment.rsplit('; the rest ', 1)[-1].strip()}"
-            lines[i] = f"{text}# {'' if whole else ', '.join(names) + ' '}{said}{rest}"
+            lines[i] = f"{text}# {'' if whole else ', '.join(names) + ' '}{message}{rest}"
 
 
 def _number(old: str, value: "float | list | str") -> str:

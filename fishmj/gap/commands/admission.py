@@ -76,9 +76,9 @@ def admitted(
     for note in notes:
         console.warn(note)
     if not anyway and (wrong := unphysical(given.trials.values())):
-        told = f"{data}: {wrong}"
-        if not console.confirmed(f"{told}. Search all the same?"):
-            raise LogError(f"{told}. Search all the same with --anyway")
+        message = f"{data}: {wrong}"
+        if not console.confirmed(f"{message}. Search all the same?"):
+            raise LogError(f"{message}. Search all the same with --anyway")
     return given, notes
 
 

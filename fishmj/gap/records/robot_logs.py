@@ -420,11 +420,11 @@ def _refuse_degrees(table: LogTable, columns: RobotColumns, t: np.ndarray, moved
         far = np.max(np.abs(values[rows]), initial=0.0)
         later = np.interp(clock + OVER, clock, angle) - angle if len(clock) else np.zeros(1)
         fast = float(np.quantile(np.abs(later), 0.9)) / OVER
-        told = f"turns to {far:.3g} rad" if far > LARGEST else f"turns at {fast:.3g} rad/s" if fast > FASTEST else ""
-        if told:
+        text = f"turns to {far:.3g} rad" if far > LARGEST else f"turns at {fast:.3g} rad/s" if fast > FASTEST else ""
+        if text:
             unit = f"is {c.column} in degrees, of a motor before its gear, or in a scale of its own as -100 to 100"
             remedy = "State its unit (rad, if it is right) or scale in a map, --columns MAP.toml"
-            raise LogError(f"{table.where}: joint {name} {told}; {unit}? {remedy}")
+            raise LogError(f"{table.where}: joint {name} {text}; {unit}? {remedy}")
 
 
 def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:

@@ -72,13 +72,13 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
     name, unit = quoted(source.column), source.unit or SI[what]
     scaled = f" times {source.scale:g}" if source.scale != 1 else ""
     allow = f"; if it is right, allow it with --plausible {doubt.bound}=..."
-    told = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.told}"
+    text = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.told}"
     fits = fitting(what, doubt.value, unit, doubt.span) if not scaled else []
     if not fits:
-        return f"{told}. Mend its scale, zero or unit in the map{allow}"
+        return f"{text}. Mend its scale, zero or unit in the map{allow}"
     line = f"{place if place == 't' else f'columns.{doubt.column}'} = {toml.inline({'column': source.column, 'unit': fits[0]})}"
     units = " or ".join(f'"{unit}"' for unit in fits)
-    return f"{told}. Say unit = {units}: {line} in the map, or --set {name[1:-1]}={place}:{fits[0]}{allow}"
+    return f"{text}. Say unit = {units}: {line} in the map, or --set {name[1:-1]}={place}:{fits[0]}{allow}"
 
 
 def _sources(entry: TableMap) -> list[str]:
@@ -288,10 +288,10 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
     stray = ahead if ahead.sum() < behind.sum() else behind
     first = int(np.flatnonzero(behind)[0])
     step = "stands still" if t[first] == t[first - 1] else "goes back"
-    told = f"{sheet.place(int(rows[first]), column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
+    text = f"{sheet.place(int(rows[first]), column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
     repeats = int(np.sum(np.diff(t) == 0))
     if repeats == int(behind.sum()) and repeats <= 0.5 * len(t):  # stamps coarser than the rate, or rows sent twice
-        return np.flatnonzero(~behind), [f"{table}: {told}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
+        return np.flatnonzero(~behind), [f"{table}: {text}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
     if stray.sum() > max(1, STRAY * len(t)) or len(t) - stray.sum() < 2:
         often = int(np.sum(np.diff(t) < 0))
         if repeats > 0.5 * len(t):
@@ -300,8 +300,8 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
             advice = "The clock was set or the logger began again: split the file there, or name another column of time"
         else:
             advice = "Sort the rows by time, or name another column of time"
-        raise LogError(f"{told}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
-    return np.flatnonzero(~stray), [f"{table}: {told}; {int(stray.sum())} such row(s) left out"]
+        raise LogError(f"{text}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
+    return np.flatnonzero(~stray), [f"{table}: {text}; {int(stray.sum())} such row(s) left out"]
 
 
 def _refuse_apart(name: str, tables: dict[str, Table]) -> None:

@@ -63,8 +63,8 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
             f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = '
             f'{{ column = "frame", scale = 0.01 }}'
         )
-    told = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
-    return f"{where}: no column was recognised ({told}); write a map (docs/search/logs.md) and import with --columns MAP.toml"
+    text = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
+    return f"{where}: no column was recognised ({text}); write a map (docs/search/logs.md) and import with --columns MAP.toml"
 
 
 def choices(g: Guess) -> str:
@@ -130,10 +130,10 @@ def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     """
     doubts = [(f"{bare(kinds[g.kind].sheets[0].name)}: " * (len(kinds) > 1), g) for kinds, made in found for g in unclear(made)]
     if doubts:
-        told = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for file, g in doubts[:4])
+        text = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for file, g in doubts[:4])
         more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
         raise LogError(
-            f"{source}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "
+            f"{source}: {len(doubts)} column(s) unclear: {text}{more}; or COLUMN=skip; or --write-map "
             "MAP.toml, mend it, --columns MAP.toml"
         )
     if yes or all(_certain(g) for _, made in found for g in made):

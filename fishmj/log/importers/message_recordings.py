@@ -233,8 +233,8 @@ def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
         else:
             notes.append(f"{topic}: no number in its {len(channel.messages)} messages; left out")
     if not rows:
-        said = f" ({'; '.join(notes)[:300]})" if notes else ""
-        raise LogError(f"{path}: no topic with numbers; it has {listed(found)}{said}")
+        text = f" ({'; '.join(notes)[:300]})" if notes else ""
+        raise LogError(f"{path}: no topic with numbers; it has {listed(found)}{text}")
     foreign = {topic for topic, read in rows.items() if abs(read.ahead) > DAY}
     for topic in sorted(foreign) if foreign < set(rows) else ():
         notes.append(f"{topic}: the stamps of its headers are on another clock; stamped by its receipt, as other topics are")

@@ -92,8 +92,8 @@ def sniff(path: str | Path) -> str:
                 return name
         except OSError as error:
             raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
-    told = "; ".join(f"{name}: {importer.about}" for name, importer in FORMATS.items())
-    raise LogError(f"{path}: none of the known formats ({told}). Say which with --format, or write a trial folder")
+    text = "; ".join(f"{name}: {importer.about}" for name, importer in FORMATS.items())
+    raise LogError(f"{path}: none of the known formats ({text}). Say which with --format, or write a trial folder")
 
 
 Advised = Callable[[str, Implausible], str]  # (table, doubt) -> one line

@@ -149,10 +149,10 @@ def _too_long(name: str, table: str, t: np.ndarray) -> str:
     """Error message for a log of more than an hour, with the place to cut it."""
     row = int(np.argmax(np.diff(t)))
     pause = t[row + 1] - t[row]
-    told = f"{name}: table {table!r} spans {t[-1] - t[0]:.6g} s, a replay shows at most {LONGEST:g} s; "
+    text = f"{name}: table {table!r} spans {t[-1] - t[0]:.6g} s, a replay shows at most {LONGEST:g} s; "
     if pause > 0.5 * (t[-1] - t[0] - LONGEST):
-        return told + f"a gap of {pause:.6g} s after t = {t[row]:.6g} s (row {row + 2}): split the trial there"
-    return told + f"split the trial, for example at t = {t[0] + LONGEST:.6g} s"
+        return text + f"a gap of {pause:.6g} s after t = {t[row]:.6g} s (row {row + 2}): split the trial there"
+    return text + f"split the trial, for example at t = {t[0] + LONGEST:.6g} s"
 
 
 def tracks_of(trials: list[Trial], robots: list[Robot]) -> list[Track]:

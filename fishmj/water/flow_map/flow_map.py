@@ -120,9 +120,9 @@ class FlowMap:
         """
         speeds = [s.speed.value for s in self.settings]
         if any(b <= a for a, b in zip(speeds, speeds[1:], strict=False)):
-            told = ", ".join(f"{s.pump:g}: {s.speed.value:.3f} m/s" for s in self.settings)
+            text = ", ".join(f"{s.pump:g}: {s.speed.value:.3f} m/s" for s in self.settings)
             raise ConfigError(
-                f"flow map: the speed does not rise with every setting ({told}); which one makes {speed:g} m/s is not told"
+                f"flow map: the speed does not rise with every setting ({text}); which one makes {speed:g} m/s is not told"
             )
         if not _between(speed, speeds[0], speeds[-1]):
             raise ConfigError(

@@ -113,7 +113,7 @@ def _robot(
     rng = np.random.default_rng([asked.seed, 23, number, turn])
     seed = FIRST + 1_000_000 * (asked.seed % 500) + 10_000 * len(families.NAMES) + 1000 * number + turn
     kinds = ["none", *["single"] * asked.singles, *(["off"] if turn % 2 else [])]
-    told = f"{SOLVER}-{asked.seed}-{name}-{turn:02d}"
+    label = f"{SOLVER}-{asked.seed}-{name}-{turn:02d}"
     able, cases, forecasts = families.pool(families.SECOND), [], []
     for i, kind in enumerate(kinds):
         effects: dict = {}
@@ -130,9 +130,9 @@ def _robot(
                 forecast = 0.0
             if forecast >= LIKELY:
                 break
-        cases.append(BenchCase(f"{told}-{i}", kind, effects, 1.0, runs, seed))
+        cases.append(BenchCase(f"{label}-{i}", kind, effects, 1.0, runs, seed))
         forecasts.append(forecast)
-    return PlannedRobot(told, name, seed, runs, tuple(cases), tuple(forecasts))
+    return PlannedRobot(label, name, seed, runs, tuple(cases), tuple(forecasts))
 
 
 # ------------------------------------------------------------------------------------------------------------------------ on disk

@@ -73,8 +73,8 @@ def main(argv: list[str]) -> int:
     made = f"{len(trials)} trials, {seconds:.0f} s of synthetic logs in {args.out} ({took:.1f} s)"
     console.say(f"{made}; the truth is in {args.truth}")
     if args.json:
-        told = {"trials": len(trials), "seconds": seconds, "out": args.out, "truth": args.truth, "hidden": len(effects)}
-        console.emit_json(told)
+        result = {"trials": len(trials), "seconds": seconds, "out": args.out, "truth": args.truth, "hidden": len(effects)}
+        console.emit_json(result)
     return console.OK
 
 
