@@ -1,8 +1,7 @@
 """A body that coasts to rest: (m + X) du/dt = -c |u| u + effects, with its speed as the only measurement.
 
-The initial speed of each coast is not measured but fitted: among trajectories from `STARTS` speeds, the one
-that fits the coast's own rows best is taken, anew under every law. So a law is judged by the decay of the speed, not by its
-start.
+The initial speed of each coast is not measured but fitted: among trajectories from `STARTS` speeds, the one that fits the coast's
+own rows best is taken, anew under every law. So a law is judged by the decay of the speed, not by its start.
 """
 
 from collections.abc import Iterable, Sequence

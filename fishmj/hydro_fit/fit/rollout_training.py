@@ -8,8 +8,7 @@ dv: surge, sway and yaw rate over windows of 0.2 s, dV: over the whole piece, dP
 model that is right to a per cent in every force may still swim wrong, so the swims decide. The error within a beat is larger than
 that of the mean, which makes a fish late or turn too wide, so the mean has a term of its own. The wake at a start is filled by
 the recorded motion of the 1.2 s before it; gradients include that. The members act together, as in a fish. Backpropagation
-through a
-differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
+through a differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
 """
 
 from collections.abc import Callable, Sequence
