@@ -33,9 +33,8 @@ def calib_folder() -> Path:
 def read_toml(path: str | Path) -> dict:
     """Reads one TOML file of unknown origin.
 
-    Raises:
-        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
-            what to do), or nested deeper than any description is.
+    Raises ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
+    what to do), or nested deeper than any description is.
     """
     return parse_toml(_text(Path(path)), shown_path(path))
 

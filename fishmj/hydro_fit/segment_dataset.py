@@ -61,9 +61,8 @@ class SegmentDataset:
     def names(self, split: str, *, block: str | None = None, slip: float | None = None) -> list[str]:
         """Ids of the segments with arrays.
 
-        Raises:
-            DatasetError: the test part, in a data set that was not opened for the check; a part that is not installed; an
-                unknown split.
+        Raises DatasetError: the test part, in a data set that was not opened for the check; a part that is not installed; an
+        unknown split.
         """
         if split not in SPLITS:
             raise DatasetError(f"{self.folder}: split {split!r}; expected one of {', '.join(SPLITS)}")
@@ -100,9 +99,8 @@ class SegmentDataset:
 def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
     """Opens a data set after checking every file of it; `test` also opens the test part, for the check command only.
 
-    Raises:
-        DatasetError: files missing, changed or not in the manifest; schemas, units, solvers, robots or grids mixed; an episode
-            in the wrong split. Lists the files, the expected and the found.
+    Raises DatasetError: files missing, changed or not in the manifest; schemas, units, solvers, robots or grids mixed; an episode
+    in the wrong split. Lists the files, the expected and the found.
     """
     folder = Path(folder)
     manifest, whole = _manifest(folder)

@@ -142,9 +142,8 @@ def encode_info(seq: int, time: float, info: RobotInfo) -> bytes:
 def encode_telemetry(telemetry: Telemetry) -> bytes:
     """Telemetry of the robot. Voltages of servos are sent in mV, temperatures in whole deg C.
 
-    Raises:
-        ProtocolError: seq, time or state is None; a value is not finite or out of range; counts differ; one of echo and
-            echo_time, or of voltage and current, is there without the other.
+    Raises ProtocolError: seq, time or state is None; a value is not finite or out of range; counts differ; one of echo and
+    echo_time, or of voltage and current, is there without the other.
     """
     it = telemetry
     if it.seq is None or it.time is None or it.state is None:

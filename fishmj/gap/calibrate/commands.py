@@ -57,9 +57,8 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     Args:
         only: physical checks that matter; all by default.
 
-    Raises:
-        LogError: none can be compared, another number of joints, another robot's name without agreement, or impossible
-            motion (a joint against its command, a mirrored camera).
+    Raises LogError: none can be compared, another number of joints, another robot's name without agreement, or impossible motion
+    (a joint against its command, a mirrored camera).
     """
     logs = read(args.data)
     broken = dict(logs.broken)

@@ -66,9 +66,8 @@ def admitted(
     Args:
         agreed: accept logs of another name. anyway: accept physically impossible motion.
 
-    Raises:
-        LogError: no trial, another number of joints, another robot's name without agreement, or impossible motion (a
-            mirrored camera, a joint against its command).
+    Raises LogError: no trial, another number of joints, another robot's name without agreement, or impossible motion (a mirrored
+    camera, a joint against its command).
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)

@@ -81,9 +81,8 @@ class ImmersedBody:
         water: displaced water of each link.
         dt: step of the fluid, s; becomes the model's own.
 
-    Raises:
-        ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit; or the water
-            is for another number of links.
+    Raises ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit; or the water
+    is for another number of links.
     """
 
     def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):

@@ -61,9 +61,8 @@ class DeviceSteps:
         count: steps that `run` does.
         warps: use the markers' kernels of `marker_warps.py`, which need two passes; by default on an accelerator.
 
-    Raises:
-        ConfigError: the explicit scheme, a body with an equation of its own, links that can part without bounds, or a model with
-            more in it than the device computes (`tree_of`).
+    Raises ConfigError: the explicit scheme, a body with an equation of its own, links that can part without bounds, or a model
+    with more in it than the device computes (`tree_of`).
     """
 
     def __init__(self, coupled: FluidStructure, count: int, *, warps: bool | None = None):
@@ -166,9 +165,8 @@ class DeviceSteps:
             command: (count, A) rad, targets of the servos in each step.
             held: (n,) 1 for velocities that are zero in all of them.
 
-        Raises:
-            ConfigError: not a command for every step and servo; or a marker is so near to a face at the start that its kernel
-                would read beyond it.
+        Raises ConfigError: not a command for every step and servo; or a marker is so near to a face at the start that its kernel
+        would read beyond it.
         """
         body, command = self.coupled.body, self._checked(command)
         fixed = np.zeros(body.dofs) if held is None else np.asarray(held, float)
@@ -231,9 +229,8 @@ class DeviceSteps:
         Args:
             audit: MuJoCo does the same steps first, and both results are compared; nothing may be queued behind them.
 
-        Raises:
-            SimDiverged: a velocity is not finite or too large, or (`audit`) MuJoCo found something else. The body is then as
-                before; the water is not.
+        Raises SimDiverged: a velocity is not finite or too large, or (`audit`) MuJoCo found something else. The body is then as
+        before; the water is not.
         """
         graphs = self.coupled.graphs
         while not self.ready():

@@ -146,9 +146,8 @@ def read_sections(path: Path, unit: str | None = None) -> Outline:
     Args:
         unit: of all columns, m, cm, mm or in, unless the header states it (`x [mm]`, `x_mm`, `x (mm)`). Metres by default.
 
-    Raises:
-        ConfigError: with file and line: not a table, a column is missing, a cell is no number, x does not rise from 0, a
-            section is not positive, the fish is implausibly small or large.
+    Raises ConfigError: with file and line: not a table, a column is missing, a cell is no number, x does not rise from 0, a
+    section is not positive, the fish is implausibly small or large.
     """
     text = _text(path)
     first = text.splitlines()[0] if text.strip() else ""

@@ -80,9 +80,8 @@ def action_space(rules: TaskSpec) -> spaces.Box:
 def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
     """Starts that `reset(options=...)` fixes, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
 
-    Raises:
-        ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
-            the episode would end at once.
+    Raises ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
+    the episode would end at once.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
     own = getattr(rules.course, "decides", ())
