@@ -159,13 +159,13 @@ def conditions_of(summary: dict) -> dict[str, str]:
 def corrected(r: Result) -> list[dict]:
     """Rows, one for each trial of the water hybrid: the changes by its segments, and the uncertainty at its end."""
     rows = []
-    for i, told in enumerate(corrections(r)):
-        segments = told["segments"]
+    for i, change in enumerate(corrections(r)):
+        segments = change["segments"]
         seen = [row for row in segments if "before" in row]
         moved = [f"{row['applied']:.0f} s" for row in seen if row["moved"]]
-        stream = [f"{u:+.3f} ({sd:.3f})" for u, sd in zip(told["stream"], told["stream_sd"], strict=True)]
+        stream = [f"{u:+.3f} ({sd:.3f})" for u, sd in zip(change["stream"], change["stream_sd"], strict=True)]
         kinds = [*KINDS, *(f"tail {kind}" for kind in KINDS)]
-        factors = zip(kinds, told["factors"], told["factors_sd"], strict=True)
+        factors = zip(kinds, change["factors"], change["factors_sd"], strict=True)
         row = {"trial": name_of(r, i), "segments": len(segments), "moved at": ", ".join(moved) or "-"}
         row["miss before, after"] = "; ".join(f"{s['before']:.2f}, {s['after']:.2f}" for s in seen) or "-"
         row["stream [m/s]"] = ", ".join(stream)

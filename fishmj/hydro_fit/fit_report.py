@@ -44,14 +44,14 @@ def write(
 ) -> Path:  # fmt: skip
     """Judges `model` on held-out records and writes report.html and report.json; returns the page's path."""
     found = free_swims.judge(model, robot, records, repeats)
-    swum = free_swims.FreeSwims(model, robot, records)
-    forces, runs = by_regime(model, robot, records), free_runs(swum)
+    swims = free_swims.FreeSwims(model, robot, records)
+    forces, runs = by_regime(model, robot, records), free_runs(swims)
     points = static_map(model, robot, records)
-    pictures = [("Means of free swims, with the 90 % band", means_figure(swum, model.band))]
-    pictures.append((f"Free runs from {swum.began:g} s on, {found['freerun_s']:g} s", runs_figure(swum)))
+    pictures = [("Means of free swims, with the 90 % band", means_figure(swims, model.band))]
+    pictures.append((f"Free runs from {swims.began:g} s on, {found['freerun_s']:g} s", runs_figure(swims)))
     if points:
         pictures.append(("Held fish: mean force by the second, in head axes", forces_figure(points)))
-    grid, turns = gait_rows(swum)
+    grid, turns = gait_rows(swims)
     folder.mkdir(parents=True, exist_ok=True)
     figures: dict[str, Any] = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
     figures |= {"preview": model.preview, "coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}

@@ -229,8 +229,8 @@ def write_bundle(path: "str | Path", trials: Iterable[Trial]) -> Path:
         about.append({"name": trial.name, "meta": trial.meta, "steps": steps})
     if not about:
         raise LogError(f"{path}: no trials to write")
-    told = json.dumps(plain({"schema": BUNDLE, "trials": about}))
-    return write_npz(path, arrays | {"about": np.frombuffer(told.encode(), np.uint8)})
+    text = json.dumps(plain({"schema": BUNDLE, "trials": about}))
+    return write_npz(path, arrays | {"about": np.frombuffer(text.encode(), np.uint8)})
 
 
 def read_bundle(path: "str | Path") -> list[Trial]:

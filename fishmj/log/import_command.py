@@ -355,11 +355,11 @@ def _told(notes: dict[str, list[str]]) -> list[str]:
 
 def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
     """Raises LogError with the first recordings that could not be read, in one line."""
-    told = list(found.skipped.values())
-    more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
+    reasons = list(found.skipped.values())
+    more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     others = not args.skip_bad and any(name not in found.skipped for name, _ in found.trials)
     leave = "; import the others with --skip-bad" if others else ""
-    raise LogError(_line("; ".join(told[:3])) + more + leave)
+    raise LogError(_line("; ".join(reasons[:3])) + more + leave)
 
 
 def _nothing(args: Namespace, found: ImportResult) -> NoReturn:

@@ -23,13 +23,13 @@ def most_bytes() -> int:
 
     Raises ConfigError: the variable is no positive number.
     """
-    said = os.environ.get(VARIABLE, "")
+    text = os.environ.get(VARIABLE, "")
     try:
-        gb = float(said) if said else DEFAULT_GB
+        gb = float(text) if text else DEFAULT_GB
     except ValueError:
         gb = 0.0
     if not 0 < gb < 1e6:
-        raise ConfigError(f"{VARIABLE} = {quoted(said)}: expected gigabytes, for example 8")
+        raise ConfigError(f"{VARIABLE} = {quoted(text)}: expected gigabytes, for example 8")
     return int(gb * 1e9)
 
 

@@ -486,8 +486,8 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
     vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
     mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE
     pace = np.hypot(vx, vy)
-    swum = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
-    return (np.arctan2(vy, vx)[swum], mean[swum]) if swum.sum() >= FEWEST else None
+    moving = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
+    return (np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
 
 
 def _drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:

@@ -145,13 +145,13 @@ def unpacked_limit() -> int:
 
     Raises StoreError: the variable holds no number.
     """
-    told = os.environ.get("FISHMJ_MAX_UNPACKED", "")
-    if not told:
+    text = os.environ.get("FISHMJ_MAX_UNPACKED", "")
+    if not text:
         return UNPACKED
     try:
-        return int(float(told))
+        return int(float(text))
     except (ValueError, OverflowError) as error:
-        raise StoreError(f"FISHMJ_MAX_UNPACKED = {told!r}: expected a number of bytes, for example 4e9") from error
+        raise StoreError(f"FISHMJ_MAX_UNPACKED = {text!r}: expected a number of bytes, for example 4e9") from error
 
 
 def _measure(path: Path, archive: zipfile.ZipFile) -> None:

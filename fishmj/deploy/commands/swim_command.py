@@ -169,8 +169,8 @@ def _swum(
         log = stack.enter_context(TrialLog(out, meta_of(args, robot, controller, wired), robot.n_joints))
         if args.ros:
             stack.enter_context(wiring.published(args.ros, log))
-        for told in target_warnings(args.target, args.bound, wired.calibration):
-            console.warn(told)
+        for warning in target_warnings(args.target, args.bound, wired.calibration):
+            console.warn(warning)
         stop = Event()
         plan = SwimPlan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
         status = StatusLine(args.seconds)
@@ -191,16 +191,16 @@ def _swum(
 
 def target_warnings(target: tuple[float, float], bound: float, calibration: Calibration | None) -> list[str]:
     """Warnings about a target (x, y) m: beyond the bound, m, or outside the camera's view."""
-    told, place = [], "{:g}, {:g} m".format(*target)
+    warnings, place = [], "{:g}, {:g} m".format(*target)
     if max(map(abs, target)) > bound:
-        told.append(f"--target {place}: beyond --bound {bound:g}; the fish is stopped before it gets there")
+        warnings.append(f"--target {place}: beyond --bound {bound:g}; the fish is stopped before it gets there")
     if calibration is not None:
         pixel = calibration.to_pixel([target])
         back = calibration.to_tank(pixel)[0]
         inside = bool(np.all((pixel[0] >= 0) & (pixel[0] <= np.array(calibration.size) - 1)))
         if not inside or np.hypot(*(back - target)) > APART:
-            told.append(f"--target {place}: outside of the camera's picture; the pose is lost before the fish gets there")
-    return told
+            warnings.append(f"--target {place}: outside of the camera's picture; the pose is lost before the fish gets there")
+    return warnings
 
 
 def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired: wiring.Wired) -> dict:

@@ -236,8 +236,8 @@ class Walk:
                 self.person.hands_off(clock)
                 wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
             meta = {**meta_of(given, self.robot, self.controller, wired), **condition_of(place, water)}
-            for told in target_warnings(place.target, args.bound, wired.calibration):
-                console.warn(told)
+            for warning in target_warnings(place.target, args.bound, wired.calibration):
+                console.warn(warning)
             log = stack.enter_context(TrialLog(folder, meta, self.robot.n_joints))
             status = StatusLine(seconds, quiet=args.yes)
             if watched is not None:

@@ -301,9 +301,9 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
     stack.callback(end_command, process, ENDS)
     line = process.stdout.readline() if process.stdout is not None else ""
     try:
-        said = json.loads(line)
-        ports = int(said["robot_port"] or 0), int(said["host_port"] or 0)
-        return Loopback(*ports, said["frames"], calibration, said["device"] or "")
+        answer = json.loads(line)
+        ports = int(answer["robot_port"] or 0), int(answer["host_port"] or 0)
+        return Loopback(*ports, answer["frames"], calibration, answer["device"] or "")
     except (ValueError, KeyError, TypeError):
         process.wait(STARTS)
         why = last_words(errors.read_text(encoding="utf-8")) or "it ended without a word"

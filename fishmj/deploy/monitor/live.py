@@ -244,19 +244,19 @@ class LiveMonitor:
     def _take(self) -> None:
         """Prints the answers, in the loop's own thread."""
         while self._heard:
-            told = self._heard.popleft()
-            if "alarm" in told:
-                alarm = Alarm(**told["alarm"])
+            packet = self._heard.popleft()
+            if "alarm" in packet:
+                alarm = Alarm(**packet["alarm"])
                 self.alarms.append(alarm)
                 self.say(said(alarm))
                 self._event(f"monitor: {alarm.channel}, {alarm.probe} {'+' if alarm.sign > 0 else '-'}", alarm.t)
                 self._note()
-            elif "watching" in told:
-                self._event(f"monitor: watches {', '.join(told['watching'])}", told["t"])
-            elif "end" in told:
-                self._end = told["end"]
-            elif "failed" in told and not self.failed and not self._end:
-                self.failed = str(told["failed"]).removeprefix("monitor: ")
+            elif "watching" in packet:
+                self._event(f"monitor: watches {', '.join(packet['watching'])}", packet["t"])
+            elif "end" in packet:
+                self._end = packet["end"]
+            elif "failed" in packet and not self.failed and not self._end:
+                self.failed = str(packet["failed"]).removeprefix("monitor: ")
                 self.say(f"monitor: {self.failed}; nothing is watched any more, the swim goes on")
 
     def _event(self, text: str, t: float) -> None:

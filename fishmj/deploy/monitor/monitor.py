@@ -170,8 +170,8 @@ def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power
 
 def flow_of(trial: Trial) -> tuple[float, float]:
     """(m/s, rad) of the ordered stream of a trial; still water if it states none."""
-    told = trial.meta.get("flow", {})
-    return float(told.get("speed") or 0.0), float(told.get("direction") or 0.0)
+    flow = trial.meta.get("flow", {})
+    return float(flow.get("speed") or 0.0), float(flow.get("direction") or 0.0)
 
 
 def said(alarm: Alarm) -> str:

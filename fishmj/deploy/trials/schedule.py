@@ -176,6 +176,6 @@ def cut(trial: Trial, name: str, seconds: float) -> Trial:
             tables[table] = {c: v[-1:] for c, v in rows.items()} | {"t": np.zeros(1)}
         elif inside.any():
             tables[table] = {c: v[inside] for c, v in (rows | stamps).items()}
-    told = {key: value for key, value in trial.meta.items() if key != "clock"}
-    told |= {"clock": {table: trial.meta.get("clock", {}).get(table, "") for table in tables}, "swum_s": round(swum, 4)}
-    return Trial(told, tables, name=name)
+    meta = {key: value for key, value in trial.meta.items() if key != "clock"}
+    meta |= {"clock": {table: trial.meta.get("clock", {}).get(table, "") for table in tables}, "swum_s": round(swum, 4)}
+    return Trial(meta, tables, name=name)

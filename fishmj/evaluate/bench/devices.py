@@ -46,10 +46,10 @@ class _Side:
 
     def _heard(self) -> list[float]:
         """Answers of all processes. Raises RuntimeError with the traceback of one that failed."""
-        said: list[Any] = [pipe.recv() for pipe in self.pipes]
-        if wrong := [text for text in said if isinstance(text, str)]:
+        answers: list[Any] = [pipe.recv() for pipe in self.pipes]
+        if wrong := [text for text in answers if isinstance(text, str)]:
             raise RuntimeError(wrong[0])
-        return said
+        return answers
 
 
 def _end(begun: list) -> None:

@@ -118,11 +118,11 @@ def score(rows: list[dict]) -> dict:
     by_times = {}
     for times in TIMES:
         mine = [r for r in singles if r["times"] == times]
-        told = counted(mine)
+        counts = counted(mine)
         by_times[f"{times:g}"] = {
-            "named": share(told["named"], len(mine)),
-            "named_or_class": share(told["named"] + told["class"], len(mine)),
-            "agrees": share(told["agrees"], len(mine)),
+            "named": share(counts["named"], len(mine)),
+            "named_or_class": share(counts["named"] + counts["class"], len(mine)),
+            "agrees": share(counts["agrees"], len(mine)),
         }
     large = [r for r in singles if r["times"] >= LARGE]
     none = [r for r in rows if r["kind"] == "none" and r["answer"] != "DIVERGED"]

@@ -89,8 +89,8 @@ def questioned_model(one: RobotQuery, known: Robot, free: list[Trial]) -> tuple[
 
     believed, error, own = known, None, None
     if one.calibrate:
-        told = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
-        path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
+        text = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
+        path = cache_folder() / "bench" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"
         believed, error = calibrated.read_or_calibrate(path, plans.SOLVER, known, lambda: free)
     model = SwimmingFish(believed)
     _ = model.kernel

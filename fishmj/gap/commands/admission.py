@@ -141,13 +141,13 @@ def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
     trial = trials_of(null.bundles[0])[0]
     name, joints = str(trial.value("robot", "") or "")[:64], joints_of(trial)
     if joints != robot.n_joints or (name and name != robot.name):
-        swum = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
+        sets = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
         mine = f"the model {model} is {robot.name!r} with {robot.n_joints}"
-        raise ConfigError(f"{swum}; {mine}. Leave --null out: runs are made anew")
+        raise ConfigError(f"{sets}; {mine}. Leave --null out: runs are made anew")
     differs = differences(load_robot(SHIPPED), robot)
     if differs:
-        swum = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
-        raise ConfigError(f"{swum}; leave --null out: runs of this model are made anew")
+        sets = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
+        raise ConfigError(f"{sets}; leave --null out: runs of this model are made anew")
 
 
 def differences(one: Robot, other: Robot) -> list[str]:

@@ -210,20 +210,20 @@ def _serve_processes(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator
         ready = wait([one.pipe for one in busy], timeout=LOOK)
         for one in (one for one in busy if one.pipe in ready):
             try:
-                said = one.pipe.recv()
-                if said.what == "want":
+                answer = one.pipe.recv()
+                if answer.what == "want":
                     _send_key(one, side, todo)
             except (EOFError, OSError) as error:
                 raise one.died() from error
-            if said.what == "made":
+            if answer.what == "made":
                 one.held, one.done = one.held - 1, 0.0
-                yield said.value
-            elif said.what == "done":
-                one.done = said.value
-            elif said.what == "end":
+                yield answer.value
+            elif answer.what == "done":
+                one.done = answer.value
+            elif answer.what == "end":
                 one.ended = True
-            elif said.what != "want":
-                raise _error_of(one.device, said)
+            elif answer.what != "want":
+                raise _error_of(one.device, answer)
         if not go_on(sum(one.done for one in side)):
             return
 

@@ -112,12 +112,12 @@ def _metadata(path: Path) -> dict:
     regular(file)
     check_size(file, 1000 * file.stat().st_size)
     try:
-        told = YAML(typ="safe", pure=True).load(file.read_bytes())["rosbag2_bagfile_information"]
-        [str(name) for name in told.get("relative_file_paths") or ()]
-        [(entry["topic_metadata"]["name"], entry["message_count"]) for entry in told.get("topics_with_message_count") or ()]
+        info = YAML(typ="safe", pure=True).load(file.read_bytes())["rosbag2_bagfile_information"]
+        [str(name) for name in info.get("relative_file_paths") or ()]
+        [(entry["topic_metadata"]["name"], entry["message_count"]) for entry in info.get("topics_with_message_count") or ()]
     except (YAMLError, RecursionError, *DAMAGE) as error:
         raise LogError(f"{file}: damaged, or not of a bag ({bare(error, 100)}); write it again with ros2 bag reindex") from error
-    return told
+    return info
 
 
 def _files(path: Path) -> list[Path]:
@@ -264,8 +264,8 @@ def _database(path: Path, needed: set[str] | None) -> Found:
             if not {"topics", "messages"} <= tables:
                 has = ", ".join(map(quoted, sorted(map(str, tables))[:6])) or "none"
                 raise LogError(f"{path}: no rosbag2: tables {has}; expected topics and messages")
-            told = database.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000")
-            for number, name, kind, encoding in told:
+            rows = database.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000")
+            for number, name, kind, encoding in rows:
                 if not isinstance(number, int) or not all(isinstance(v, str) for v in (name, kind, encoding)):
                     raise LogError(f"{path}: table topics holds {quoted((number, name, kind, encoding), 80)}; it is damaged")
                 names[number] = name

@@ -87,12 +87,12 @@ def read_parquet(path: Path) -> list[Sheet]:
     columns, units, notes = {}, {}, []
     try:
         with pq.ParquetFile(path) as file:
-            told = file.metadata
+            metadata = file.metadata
             schema = file.schema_arrow
-            if len(schema) > COLUMNS or told.num_columns > COLUMNS:
-                raise LogError(f"{path}: {told.num_columns} columns; at most {COLUMNS} are read")
-            unpacked = sum(max(told.row_group(i).total_byte_size, 0) for i in range(told.num_row_groups))
-            check_size(path, max(unpacked, 8.0 * told.num_rows * max(told.num_columns, 1)), "unpacks to")
+            if len(schema) > COLUMNS or metadata.num_columns > COLUMNS:
+                raise LogError(f"{path}: {metadata.num_columns} columns; at most {COLUMNS} are read")
+            unpacked = sum(max(metadata.row_group(i).total_byte_size, 0) for i in range(metadata.num_row_groups))
+            check_size(path, max(unpacked, 8.0 * metadata.num_rows * max(metadata.num_columns, 1)), "unpacks to")
             names = [name.strip() for name in schema.names]
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)

@@ -157,13 +157,13 @@ def write(plan: FamilyPlan, folder: Path) -> None:
 
 def read(folder: Path) -> FamilyPlan:
     """The plan of a folder. Raises StoreError: there is none, or it is invalid."""
-    told: dict[str, Any] = read_json(folder / FILE)
-    if told.get("schema") != SCHEMA:
-        raise StoreError(f"{folder / FILE}: schema {told.get('schema')!r}, expected {SCHEMA!r}")
-    asked = PlanSettings(**told["asked"])
+    content: dict[str, Any] = read_json(folder / FILE)
+    if content.get("schema") != SCHEMA:
+        raise StoreError(f"{folder / FILE}: schema {content.get('schema')!r}, expected {SCHEMA!r}")
+    asked = PlanSettings(**content["asked"])
     places = {name: str(folder / source) if (folder / source).is_file() else source for name, source in asked.models.items()}
     robots = []
-    for one in told["robots"]:
+    for one in content["robots"]:
         runs = tuple(one["experiments"])
         cases = tuple(BenchCase(c["id"], c["kind"], c["effects"], 1.0, runs, one["seed"]) for c in one["cases"])
         robots.append(PlannedRobot(one["id"], one["model"], one["seed"], runs, cases, tuple(c["forecast"] for c in one["cases"])))
