@@ -56,11 +56,7 @@ def _summary(path: Path) -> str:
 
 
 def load(verb: str) -> console.Main:
-    """Imports the verb's module and returns its `main`.
-
-    Raises:
-        UnknownName: there is no such verb.
-    """
+    """Imports the verb's module and returns its `main`. Raises UnknownName: there is no such verb."""
     if verb not in VERBS:
         raise UnknownName("verb", verb if len(verb) <= console.SHOWN else verb[: console.SHOWN] + "...", VERBS)
     return import_module(f"fishmj.{VERBS[verb]}").main

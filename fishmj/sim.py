@@ -60,8 +60,7 @@ class Sim:
     Attributes:
         hybrid: the `fishmj.engines.hybrid.Hybrid` that corrects the water (see its `report`), None in any other water.
 
-    Raises:
-        UnknownName, ConfigError: an invalid name or time step; a hybrid with a free root.
+    Raises UnknownName, ConfigError: an invalid name or time step; a hybrid with a free root.
     """
 
     def __init__(

@@ -10,11 +10,9 @@ import pytest
 
 from fishmj.base.errors import SimDiverged
 from fishmj.hydro_fit.campaign.data import plan, run_segments
-from fishmj.hydro_fit.campaign.data.run_segments import trial_of
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.log import read_trial, write_trial
 from fishmj.mjcf import build, load_robot
 from fishmj.water.flow import Flow
 
@@ -92,15 +90,6 @@ def test_the_flow_at_the_links_is_the_flow_there(water):
     assert record.background == item.segment.flow
     np.testing.assert_allclose(record.flow[7], record.background.at(where, t)[:, :2], atol=1e-6)
     assert np.ptp(record.flow[..., 0]) > 0
-
-
-@pytest.mark.oracle
-def test_a_record_is_a_trial_of_the_log(water, tmp_path):
-    trial = trial_of(water["swim"][1], FISH)
-    back = read_trial(write_trial(tmp_path / "swim", trial))
-    assert {"cmd", "joint", "pose", "truth", "flow", "wrench", "power"} == set(back.tables)
-    np.testing.assert_allclose(back.tables["truth"]["wz"], water["swim"][1].v[:, 2], atol=1e-2)
-    assert back.meta["origin"] == "synthetic"
 
 
 @pytest.mark.oracle

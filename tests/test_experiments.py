@@ -30,8 +30,9 @@ from fishmj.evaluate.experiments import (
     unsteady_flows,
 )
 from fishmj.evaluate.experiments import __main__ as command
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, read, rounded, series_row
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
-from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup, compared, counted, read, rounded, series_row
+from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup
 from fishmj.evaluate.run_trials import fingerprint, judge_in_solver
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.reading import load_robot

@@ -121,14 +121,14 @@ def test_what_was_weighed_is_said_in_words(plant):
 def test_report_shows_the_weighing_apart_from_the_gap_of_the_logs(plant):
     from html import unescape
 
-    from fishmj.gap.report import page as html
     from fishmj.gap.report.report_data import gather, plain
+    from fishmj.gap.report.sections import html
 
     inquiry = investigate(plant, hidden(TURNS, 12, RUNS[:2]), null=NULL, page=page(TURNS, 12))
     material = gather(inquiry)
     assert mass_properties.CHANNEL not in material.place.channels
     assert mass_properties.CHANNEL in material.channels
-    assert plain(material)["weighed"] in unescape(html(inquiry)) and "yaw inertia is 0.019" in material.weighed
+    assert plain(material)["weighed"] in unescape(html(material)) and "yaw inertia is 0.019" in material.weighed
 
 
 def test_a_robot_that_replaces_another_takes_its_page_along(tmp_path):

@@ -8,12 +8,15 @@ import pytest
 wp = pytest.importorskip("warp")
 
 from fishmj.base.errors import ConfigError
-from fishmj.lbm_oracle.cases.refined import across, ball_in_a_box, pulse_returned, shear_viscosity, water_and_box
+from fishmj.lbm_oracle.cases.refined import across, pulse_returned, shear_viscosity, water_and_box
+from fishmj.lbm_oracle.cases.sphere import ball
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.fluid.storage import UNIT
-from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_lattice
+from fishmj.lbm_oracle.immersed.markers import sphere_markers
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid, _memory, fine_lattice, lowest
+from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
@@ -209,6 +212,16 @@ def test_turbulence_passes_through_the_box():
     without, with_it = plain.velocity()[where], box.outer.velocity()[where]
     assert np.sqrt(((with_it - without) ** 2).mean()) < 0.15 * without.std((0, 1, 2)).mean()
     assert with_it.std() == pytest.approx(without.std(), rel=0.05)
+
+
+def ball_in_a_box(radius: float = 4.0):
+    """Sphere of so many fine cells in periodic water, coarse cells of 2 m, steps of 2 s; and the function that moves its box."""
+    outer = Fluid(Lattice(dx=2.0, dt=2.0, rho=1.0, nu=0.02), (24, 20, 18), subgrid="none")
+    at = np.array([20.3, 19.1, 17.2])
+    box = RefinedFluid(outer, lowest(outer, at, (9, 9, 9)), (9, 9, 9))
+    body = ball(radius, box.lattice, at=at)
+    coupled = RefinedStructure(box, body, sphere_markers(radius, 1.0), slip=0.0)
+    return coupled, lambda: box.centre_on(body.data.qpos)
 
 
 def test_the_water_gains_what_a_body_in_the_box_gives():

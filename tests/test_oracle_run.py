@@ -46,19 +46,6 @@ def test_a_state_of_another_grid_or_a_damaged_one_is_refused(tmp_path):
         snapshot.load(path, pond("cpu"))
 
 
-def test_a_segment_can_start_from_any_fish_in_developed_water():
-    spun = pond("cpu")
-    beat(spun, 0.3, every=1000)
-    water = spun.fluid.snapshot()
-    fresh = pond("cpu")
-    pose, speed = np.array([0.5, 0.3, 1.0, 0.2, 0.1, -0.2]), np.array([0.2, 0.1, 0.0, 0, 0, 0])
-    snapshot.reseed(fresh, pose, speed, water=water)
-    np.testing.assert_array_equal(fresh.fluid.f.numpy(), water["f"])
-    velocity = fresh.step()
-    assert np.isfinite(velocity).all()
-    assert np.abs(velocity[:2] - speed[:2]).max() < 0.15  # the water gives way, but no blow: it was not accelerated at once
-
-
 @pytest.mark.part("swim")
 def test_a_run_writes_the_trial_folder_with_both_wrenches(tmp_path):
     run, gait = Run(pond("cpu"), latency=0.0), Gait()

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fishmj.deploy.protocols import lx_bus
-from fishmj.deploy.protocols.lx_bus import TABLE, Code, LxFrame, LxFrameReader, answers, decode, encode, encode_reply
+from fishmj.deploy.protocols.lx_bus import TABLE, Code, LxFrame, LxFrameReader, decode, encode, encode_reply
 from fishmj.deploy.protocols.protocol_error import ProtocolError
+from fishmj.mjcf.servo_buses import BUSES
 
 try:
     import lewansoul_lx16a as lewansoul
@@ -168,7 +169,7 @@ def test_a_known_frame():
 
 
 def test_a_move_frame_takes_less_than_a_millisecond():
-    assert len(encode(1, Code.MOVE_TIME_WRITE, 500, 20)) * 10 / lx_bus.BAUD == pytest.approx(0.87e-3, abs=0.01e-3)
+    assert len(encode(1, Code.MOVE_TIME_WRITE, 500, 20)) * 10 / BUSES["lx"].baud == pytest.approx(0.87e-3, abs=0.01e-3)
 
 
 @pytest.mark.parametrize(
@@ -195,13 +196,6 @@ def test_a_servo_answers_questions_only_and_with_its_own_id():
         encode_reply(1, Code.MOVE_STOP)
     with pytest.raises(ProtocolError, match="expected 0 to 253"):
         encode_reply(254, Code.POS_READ, 500)
-
-
-def test_answers_are_told_from_those_of_others():
-    frame = decode(encode_reply(2, Code.POS_READ, 500))
-    assert answers(frame, 2, Code.POS_READ) and answers(frame, 254, Code.POS_READ)
-    assert not answers(frame, 1, Code.POS_READ) and not answers(frame, 2, Code.VIN_READ)
-    assert not answers(decode(encode(2, Code.POS_READ)), 2, Code.POS_READ)
 
 
 @settings(max_examples=40)

@@ -38,11 +38,6 @@ def test_angles_beyond_the_servo_end_at_its_ends(angle):
     assert 0 <= servo_counts.counts(angle) <= 1000
 
 
-@given(st.integers(0, 65_535))
-def test_each_voltage_comes_back(millivolts):
-    assert servo_counts.millivolts(servo_counts.volts(millivolts)) == millivolts
-
-
 def test_a_move_takes_distance_over_speed():
     assert servo_counts.move_time(0.5, 2.0) == 250
     assert servo_counts.move_time(-0.5, 2.0) == 250
@@ -54,8 +49,6 @@ def test_a_move_takes_distance_over_speed():
     [
         lambda: servo_counts.counts(math.nan),
         lambda: servo_counts.counts(math.inf),
-        lambda: servo_counts.millivolts(-0.1),
-        lambda: servo_counts.millivolts(70.0),
         lambda: servo_counts.move_time(0.1, 0.0),
         lambda: servo_counts.move_time(math.nan, 1.0),
     ],

@@ -33,19 +33,14 @@ def calib_folder() -> Path:
 def read_toml(path: str | Path) -> dict:
     """Reads one TOML file of unknown origin.
 
-    Raises:
-        ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
-            what to do), or nested deeper than any description is.
+    Raises ConfigError: no such file, a folder, not readable, larger than 1 MB, not UTF-8, not TOML (says line, text, block and
+    what to do), or nested deeper than any description is.
     """
     return parse_toml(_text(Path(path)), shown_path(path))
 
 
 def parse_toml(text: str, where: str) -> dict:
-    """Parses a TOML text into a dictionary; `where` begins the error messages.
-
-    Raises:
-        ConfigError: as `read_toml`.
-    """
+    """Parses a TOML text into a dictionary; `where` begins the error messages. Raises ConfigError: as `read_toml`."""
     if len(text) > LARGEST:
         raise ConfigError(f"{where}: larger than {LARGEST / 1e6:g} MB, expected a TOML file of a few kB; is this the right file?")
     if found := _LONG_KEY.search(text):
@@ -109,8 +104,7 @@ def _check_values(table: dict, where: str) -> None:
 def resolve(name: str | Path, *, robot: bool = False) -> Path:
     """A TOML path, or the name of a shipped one: `fish` -> data/calib/fish.toml. robot: robots alone.
 
-    Raises:
-        ConfigError: no such file, or a folder. UnknownName: neither a TOML path nor a shipped name.
+    Raises ConfigError: no such file, or a folder; UnknownName: neither a TOML path nor a shipped name.
     """
     known = list(robots()) if robot else shipped()
     if not isinstance(name, str | Path) or not str(name):

@@ -138,9 +138,9 @@ def _of_the_machine(error: Exception) -> str:
         else:
             remedy = "choose another file or folder, or make room"
         return f"{where}{error.strerror or error}; {remedy}"
-    said = str(error)
-    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in said or "out of memory" in said.lower():
-        details = shown(said.partition("\n")[0], 200) if said else "no details"
+    sentence = str(error)
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in sentence or "out of memory" in sentence.lower():
+        details = shown(sentence.partition("\n")[0], 200) if sentence else "no details"
         return f"not enough memory ({details}); ask for less at once, or take a larger machine"
     return ""
 
@@ -308,11 +308,7 @@ class CommandGroup:
         return self.load(name)(argv[words:])
 
     def load(self, name: str) -> Main:
-        """Imports a command and returns its function.
-
-        Raises:
-            UnknownName: no command of this name.
-        """
+        """Imports a command and returns its function. Raises UnknownName: no command of this name."""
         if name not in self.commands:
             raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
         run = self.commands[name].run

@@ -22,8 +22,7 @@ def time(
         what: the work, in numbers. instead: a cheaper request. flag: option that agrees; agreed: True if it was given.
         why: reason that it takes so long here.
 
-    Raises:
-        TooMuch: not agreed.
+    Raises TooMuch: not agreed.
     """
     if not agreed and seconds > limit:
         _ask(f"{verb}: {what} would take about {console.duration(seconds)}{why and f' {why}'}", instead, flag)
@@ -37,8 +36,7 @@ def memory(
     Args:
         as `time`; without a flag the work is refused.
 
-    Raises:
-        TooMuch: not agreed.
+    Raises TooMuch: not agreed.
     """
     there = memory_bytes() if there is None else there
     if not agreed and need > ROOM * there:

@@ -23,8 +23,7 @@ def checked(text: object, what: str, where: str = "") -> str:
     Args:
         what: kind of the named thing, for the message: "robot", "link". where: file and block.
 
-    Raises:
-        ConfigError: invalid; shows the name with the other characters replaced.
+    Raises ConfigError: invalid; shows the name with the other characters replaced.
     """
     if isinstance(text, str) and is_name(text):
         return text

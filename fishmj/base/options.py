@@ -64,8 +64,7 @@ class Number:
 def checked(where: str, value: Any, low: float = -math.inf, high: float = math.inf, *, whole: bool = False) -> Any:
     """Returns `value`, an argument of a Python call, if it is a finite number from `low` to `high`.
 
-    Raises:
-        ConfigError: it is not; begins with `where`, the name of the argument.
+    Raises ConfigError: it is not; begins with `where`, the name of the argument.
     """
     given = value.item() if getattr(value, "shape", None) == () else value  # NumPy's and JAX's scalars
     kind = int if whole else int | float
@@ -327,5 +326,5 @@ def _writable(where: Path, folder: Path) -> None:
         with tempfile.TemporaryFile(dir=there):  # tried, because permissions alone say nothing to root or of /proc
             pass
     except OSError as error:
-        said = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
-        raise argparse.ArgumentTypeError(said) from error
+        message = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
+        raise argparse.ArgumentTypeError(message) from error

@@ -95,8 +95,7 @@ def source_sha256(thing: Any) -> str:
 def call(what: str, function: Callable, *arguments: Any, **named: Any) -> Any:
     """Calls `function(..)` of the user's own code; an exception in it becomes one line with file and line.
 
-    Raises:
-        OwnCodeError: the function raised. Errors of fishmj itself pass.
+    Raises OwnCodeError: the function raised. Errors of fishmj itself pass.
     """
     try:
         return function(*arguments, **named)
@@ -117,8 +116,7 @@ def takes(what: str, function: Any, shape: str, count: int) -> None:
     Args:
         what: for the message. shape: the call as it should read, "reward(xp, step)".
 
-    Raises:
-        OwnCodeError: it cannot be called like this, or is not callable.
+    Raises OwnCodeError: it cannot be called like this, or is not callable.
     """
     if not callable(function):
         raise OwnCodeError(f"{what}: has no {shape}; add it (docs/simulate/your_own_code.md)")

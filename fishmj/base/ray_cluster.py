@@ -186,7 +186,7 @@ class RayCluster:
                             idle.append(starting.pop(ref))
                             continue
                         worker, _, left = busy[ref]
-                        said = ray.get(next(ref))
+                        answer = ray.get(next(ref))
                     except StopIteration:
                         idle.append(busy.pop(ref)[0])
                     except gone as error:
@@ -195,10 +195,10 @@ class RayCluster:
                         waiting.extend(self._mourn(left.values(), error))
                         hire()
                     else:
-                        if isinstance(said, FishmjError):
+                        if isinstance(answer, FishmjError):
                             console.warn(f"ray: failed with {', '.join(left)}")
-                            raise said
-                        yield left.pop(said[0]), said[1]
+                            raise answer
+                        yield left.pop(answer[0]), answer[1]
                 with suppress(ray.exceptions.RayError):  # progress alone: the last known one serves
                     done = ray.get(board.read.remote())
                 if not go_on(sum(done.get(number, 0.0) for _, number, _ in busy.values())):

@@ -18,20 +18,20 @@ _NUMBER = r"[+-]?\d[\d_]*(?:\.\d+)?(?:[eE][+-]?\d+)?"
 
 def explained(text: str, error: ValueError) -> str:
     """One-line explanation in place of tomllib's message on `text`, without the name of the file."""
-    told = " ".join(str(error).split())
+    message = " ".join(str(error).split())
     lines = text.replace("\r\n", "\n").split("\n")
     if kind := _another_format(text):
         return f"line 1, {_shown(lines[0])}: {kind}"
-    if "digits" in told:
+    if "digits" in message:
         for run in re.finditer(r"\d[\d_]*", text):
             if len(run[0]) > 4300:
                 return _at(lines, text.count("\n", 0, run.start())) + f": a number of {len(run[0])} digits, expected 18 at most"
-    place = _PLACE.search(told[-80:])
+    place = _PLACE.search(message[-80:])
     at = min(int(place[1]), len(lines)) - 1 if place and place[1] else len(lines) - 1
     while place and not place[1] and at and not lines[at].strip():  # the end of the document: the last line that has text
         at -= 1
     column = int(place[2]) - 1 if place and place[2] else len(lines[at])
-    bare = told[: len(told) - len(place[0]) if place else None][:300]
+    bare = message[: len(message) - len(place[0]) if place else None][:300]
     if (began := _open_bracket(lines, at, column)) is not None and not _MERGE.match(lines[at]):
         return _at(lines, began) + ": " + _unclosed(lines, began, at)
     return _at(lines, at) + ": " + (_twice(lines, at, bare) or _guess(lines[at][:_LONGEST], bare) or _plain(bare))

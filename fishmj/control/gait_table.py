@@ -49,8 +49,7 @@ def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=S
 def gait_of(robot: Robot) -> dict:
     """Rates and grids of controllers.toml [gait], with the lag [rad] and the measured gaits of this robot in its water.
 
-    Raises:
-        ConfigError: the robot does not swim.
+    Raises ConfigError: the robot does not swim.
     """
     gait = gains_of("gait")
     lag = np.radians(gait["lag_deg"]) / max(robot.n_joints - 1, 2) * np.arange(robot.n_joints)

@@ -53,8 +53,7 @@ def edmd(x, u, y) -> tuple[np.ndarray, np.ndarray]:
 def lqr(a, b, q, r) -> tuple[np.ndarray, np.ndarray]:
     """Regulator L (M, P) of u = -L x for x+ = a x + b u and cost x q x + u r u, and the solution (P, P) of its Riccati equation.
 
-    Raises:
-        ConfigError: no such regulator exists.
+    Raises ConfigError: no such regulator exists.
     """
     try:
         p = solve_discrete_are(a, b, q, r)

@@ -30,8 +30,7 @@ class LearnedController:
         source: path of a policy file or of a training's folder, or the name of a shipped one.
         anyway: allow another command path than that of training.
 
-    Raises:
-        UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
+    Raises UnknownName, StoreError, ConfigError: no such policy, a damaged file, or one for another robot or command path.
     """
 
     def __init__(self, robot: Robot, source: str, anyway: bool = False):

@@ -20,8 +20,7 @@ class Own:
     Attributes:
         name: the object's own `name` if it is valid in a path, else made from the reference. sha256: of its source file.
 
-    Raises:
-        OwnCodeError: the factory fails, or its result has no `reset(n)` and `__call__(obs)`.
+    Raises OwnCodeError: the factory fails, or its result has no `reset(n)` and `__call__(obs)`.
     """
 
     def __init__(self, robot: Robot, factory: Any, text: str, taken: Sequence[str] = ()):

@@ -63,8 +63,7 @@ def _renamed(old: str) -> None:
 def file_of(source: "str | Path") -> Path:
     """File of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
 
-    Raises:
-        UnknownName: no such file or name. StoreError: not a plain file, or a folder without a policy.
+    Raises UnknownName: no such file or name; StoreError: not a plain file, or a folder without a policy.
     """
     if str(source) in FORMER:
         _renamed(str(source))
@@ -122,8 +121,7 @@ class Policy:
             hide: observation groups that were zero in training; None: those of the environment.
             meta: more keys of the header, such as algorithm, seed, steps.
 
-        Raises:
-            ConfigError: the layers do not fit the robot and the memory, or `env` is no environment of fishmj.
+        Raises ConfigError: the layers do not fit the robot and the memory, or `env` is no environment of fishmj.
         """
         from fishmj.control.learned import header_of, robot_in  # not on the robot's host
         from fishmj.tasks.station_hold import input_scale, visible
@@ -149,8 +147,7 @@ class Policy:
     def load(cls, source: "str | Path") -> "Policy":
         """Reads a policy by shipped name or path, as `file_of`.
 
-        Raises:
-            UnknownName: no such file or name. StoreError: damaged file. ConfigError: not a policy, or shapes that do not fit.
+        Raises UnknownName: no such file or name; StoreError: damaged file; ConfigError: not a policy, or shapes that do not fit.
         """
         path = file_of(source)
         arrays, meta = read_tensors(path)

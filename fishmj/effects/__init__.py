@@ -38,8 +38,7 @@ def _read() -> Iterator[Effect]:
 def join(effect: Effect) -> None:
     """Adds the user's own effect to the catalogue of this process; `engines.own_effects` checks it first.
 
-    Raises:
-        ConfigError: another effect has that name.
+    Raises ConfigError: another effect has that name.
     """
     if catalogue().setdefault(effect.name, effect) is not effect:
         raise ConfigError(f"effect {effect.name!r} is in the catalogue already; give yours another name")

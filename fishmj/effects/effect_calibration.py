@@ -43,19 +43,14 @@ class FittedEffect(NamedTuple):
 def read(source: "str | Path") -> tuple[FittedEffect, ...]:
     """The effects of a fish TOML (path or shipped name), checked.
 
-    Raises:
-        ConfigError: unknown effect, parameter or key (with the nearest one), value outside its bounds, an effect listed twice.
+    Raises ConfigError: unknown effect, parameter or key (with the nearest one), value outside its bounds, an effect listed twice.
     """
     path = resolve(source)
     return parse(read_toml(path), str(path))
 
 
 def parse(table: dict, where: str) -> tuple[FittedEffect, ...]:
-    """Effects of a parsed TOML table, checked; `where` begins the error messages.
-
-    Raises:
-        ConfigError: as `read`.
-    """
+    """Effects of a parsed TOML table, checked; `where` begins the error messages. Raises ConfigError: as `read`."""
     blocks = table.get("effect", [])
     if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
         raise ConfigError(f"{where}: effects are blocks [[effect]], got {str(blocks)[:80]}")
@@ -70,8 +65,7 @@ def parse(table: dict, where: str) -> tuple[FittedEffect, ...]:
 def write(path: "str | Path", effects: "tuple[FittedEffect, ...] | list[FittedEffect]") -> Path:
     """Replaces the effect blocks of the TOML at `path` by `effects`, atomically; everything else stays.
 
-    Raises:
-        ConfigError: as `read`; nothing is written then.
+    Raises ConfigError: as `read`; nothing is written then.
     """
     path = resolve(Path(path))
     kept = _without_blocks(path.read_text(encoding="utf-8"))

@@ -113,8 +113,7 @@ def fastest() -> str:
 def of(engine: Any, robot: Robot):
     """Engine that a caller means: an engine itself, a name for this robot, or None for the fastest one.
 
-    Raises:
-        UnknownName, MissingExtra: as `make`. ConfigError: it has no `advance`.
+    Raises UnknownName, MissingExtra: as `make`; ConfigError: it has no `advance`.
     """
     if engine is None or isinstance(engine, str):
         return make(fastest() if engine is None else engine, robot)

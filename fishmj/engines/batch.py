@@ -67,8 +67,7 @@ class BatchEngine(Copied):
         Returns:
             (FishState, Trace with T ticks), float64 NumPy.
 
-        Raises:
-            SimDiverged: MuJoCo warned of, or reset, a fish; names the first.
+        Raises SimDiverged: MuJoCo warned of, or reset, a fish; names the first.
         """
         commands = on_the_bus(self.robot.servo, np.asarray(commands, float))
         check_commands(commands, self.robot.n_joints)

@@ -1,9 +1,8 @@
 """From one step written in components to straight-line source: jaxpr -> value graph -> Python text.
 
-`jax.make_jaxpr` of a function on scalars is a list of primitive operations. The graph below holds each value once
-(common subexpressions meet), folds constants and the identities 0 x, 1 x, x + 0, and keeps only what the outputs need.
-The text is plain Python arithmetic on names, so it runs in NumPy at float64 (how it is tested) and compiles by numba at
-float32 (how it is used).
+`jax.make_jaxpr` of a function on scalars is a list of primitive operations. The graph below holds each value once (common
+subexpressions meet), folds constants and the identities 0 x, 1 x, x + 0, and keeps only what the outputs need. The text is plain
+Python arithmetic on names, so it runs in NumPy at float64 (how it is tested) and compiles by numba at float32 (how it is used).
 """
 
 import math

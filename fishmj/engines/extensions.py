@@ -112,8 +112,7 @@ def bus_rows(robot: Robot, least: int) -> int:
 def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
     """Robot with these effects in its list; new ones are added at their null.
 
-    Raises:
-        UnknownName: not in the catalogue. ConfigError: a stochastic effect, for which the physics has no site.
+    Raises UnknownName: not in the catalogue; ConfigError: a stochastic effect, for which the physics has no site.
     """
     have, more = {fitted.name for fitted in robot.effects}, []
     for name in dict.fromkeys(names):

@@ -42,8 +42,7 @@ class LbmEngine:
         finer: number of time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
         storage: type of the populations. dx: m, cells in place of the domain's.
 
-    Raises:
-        ConfigError: an effect that cannot act in a tank.
+    Raises ConfigError: an effect that cannot act in a tank.
     """
 
     jittable = False

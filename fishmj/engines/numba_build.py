@@ -219,8 +219,7 @@ def write(robot: Robot, entry: str, precision: fast_math.Precision) -> str:
 def load(robot: Robot, entry: str, precision: fast_math.Precision) -> ModuleType:
     """Compiled module; seconds the first time, a fraction of a second when cached.
 
-    Raises:
-        MissingExtra: numba is not installed.
+    Raises MissingExtra: numba is not installed.
     """
     require_numba()
     return compiled(write(robot, entry, precision))

@@ -33,11 +33,7 @@ DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients of n
 
 
 class Water(Protocol):
-    """Interface of the water around the fish of `Sim`.
-
-    Attributes:
-        power: electrical power of the servos in the last step, W.
-    """
+    """Interface of the water around the fish of `Sim`. power: electrical power of the servos in the last step, W."""
 
     power: float
 

@@ -196,8 +196,7 @@ def main(argv: list[str]) -> int:
 def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
     """Trials in the turbulence that was measured in a tank; prints the properties that a simulated flow lacks.
 
-    Raises:
-        ConfigError: the map lacks a speed, or an option contradicts its turbulence.
+    Raises ConfigError: the map lacks a speed, or an option contradicts its turbulence.
     """
     from fishmj.water.flow_map.flow_map import FlowMap, preset_for
 
@@ -248,8 +247,7 @@ def judge_each(brains, robot, trials, args) -> Iterator[tuple[Any, Result]]:
 def hybrid_options(args, robot, trials, brains: int):
     """Schedule and solver options of the water's correction.
 
-    Raises:
-        TooMuch: the solver would take a CPU too long. ConfigError: several devices.
+    Raises TooMuch: the solver would take a CPU too long; ConfigError: several devices.
     """
     from fishmj.engines.hybrid import HybridOptions
     from fishmj.lbm_oracle.fluid.device import several

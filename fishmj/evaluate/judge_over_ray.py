@@ -44,8 +44,7 @@ def judge_over_ray(
     Args:
         engine: its name. hybrid: schedule of its corrections. progress: called with simulated seconds, summed over everything.
 
-    Raises:
-        ConfigError: no such cluster, or controllers that no worker ended, when all others are yielded. Errors as `run`.
+    Raises ConfigError: no such cluster, or controllers that no worker ended, when all others are yielded. Errors as `run`.
     """
     cluster, done = RayCluster(address), 0
     each = trials.duration * len(trials)

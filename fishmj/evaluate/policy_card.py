@@ -141,16 +141,15 @@ def make_card(source: str | Path, judged: Sequence[dict], curve: Path | None = N
 def read_card(source: str | Path) -> PolicyCard:
     """Card of a policy from the file beside its weights; if there is none, that of its header alone.
 
-    Raises:
-        ConfigError: no card, or one of other weights. UnknownName, StoreError: no such policy, or a damaged card.
+    Raises ConfigError: no card, or one of other weights; UnknownName, StoreError: no such policy, or a damaged card.
     """
     path = card_path(source)
     if not path.is_file():
         return make_card(source, ())
     card = _checked(read_json(path), str(path))
     if card.sha256 != (digest := sha256(file_of(source))):
-        said = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}"
-        raise ConfigError(f"{said}; make it again with `fishmj policy {source} --judged DIR ..`, or remove it")
+        message = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}"
+        raise ConfigError(f"{message}; make it again with `fishmj policy {source} --judged DIR ..`, or remove it")
     return card
 
 

@@ -35,24 +35,24 @@ def main(argv: list[str]) -> int:
         return listed(args.json)
     if args.curve and not args.judged:
         raise ConfigError("policy: --curve is of --judged; add it, or leave --curve out")
-    said: dict[str, Any] = {}
+    answer: dict[str, Any] = {}
     if args.judged:
         beside = file_of(args.policy).with_name("metrics.jsonl")
         curve = args.curve or (beside if beside.is_file() else None)
         card = make_card(args.policy, [read_json(folder / "results.json") for folder in args.judged], curve)
-        said["card"] = write_card(card, card_path(args.policy))
+        answer["card"] = write_card(card, card_path(args.policy))
     else:
         card = read_card(args.policy)
     console.say(*lines_of(card, Policy.load(args.policy), args.policy))
     if args.onnx:
         from fishmj.control.onnx_export import write_onnx
 
-        said |= {"onnx": args.onnx, "onnx_difference": (off := write_onnx(args.policy, args.onnx))}
+        answer |= {"onnx": args.onnx, "onnx_difference": (off := write_onnx(args.policy, args.onnx))}
         console.say("", f"wrote {args.onnx}: differs from NumPy by {off:.2g} at most")
-    if "card" in said:
-        console.say("", f"wrote {said['card']}")
+    if "card" in answer:
+        console.say("", f"wrote {answer['card']}")
     if args.json:
-        console.emit_json(card.plain() | said)
+        console.emit_json(card.plain() | answer)
     return console.OK
 
 
@@ -95,8 +95,8 @@ def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
         "",
     ]
     if not card.judged:
-        said = f"judge it, `fishmj evaluate {source} --out DIR`, then `fishmj policy {source} --judged DIR`"
-        return [*lines, f"where it holds: not judged; {said}"]
+        text = f"judge it, `fishmj evaluate {source} --out DIR`, then `fishmj policy {source} --judged DIR`"
+        return [*lines, f"where it holds: not judged; {text}"]
     radius = constant("protocol", "arrival_radius")
     lines += [f"where it holds (a trial holds if it arrives and stays within {radius:g} m RMS), 95 % intervals over trials"]
     lines += [console.table([_judged(found) for found in card.judged]), ""]

@@ -213,8 +213,7 @@ def trials(
         heading: of the start, "upstream" or "uniform".
         randomisation, noise: 0 switches them off.
 
-    Raises:
-        ConfigError, UnknownName: an invalid setting.
+    Raises ConfigError, UnknownName: an invalid setting.
     """
     get, of_paper = (lambda key: constant("protocol", key)), (lambda key: constant("experiments", key))
     names: list[tuple[str, str, tuple[str, ...]]] = [("heading", heading, HEADINGS), ("seeds", box, SETS), ("task", task, TASKS)]

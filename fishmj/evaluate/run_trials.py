@@ -63,8 +63,7 @@ def run(
         shift: offset in m of every fish from the start of its trial; its camera has not seen it yet.
         progress: called with the number of control steps done.
 
-    Raises:
-        SimDiverged: names the trial.
+    Raises SimDiverged: names the trial.
     """
     robot = in_water(load_robot(robot)) if isinstance(engine, str) else load_robot(robot)
     trials = protocol.trials(seed=seed) if trials is None else trials

@@ -33,9 +33,9 @@ def trial_of(r: Result, i: int) -> Trial:
     decisions = np.arange(ceil(ticks / round(step / r.robot.timing.bus_dt))) * step
     pose, velocity, joint, rate = (x[i, 1 : ticks + 1] for x in (r.pose, r.velocity, r.joint, r.rate))
     params, camera = replace(r.trials, items=(item,)).fish(r.robot)
-    swum = (start, t, r.command[i, :ticks], pose, velocity, joint, rate, r.power[i, :ticks])
+    motion = (start, t, r.command[i, :ticks], pose, velocity, joint, rate, r.power[i, :ticks])
     tables = {
-        **logged(r.robot, *swum, params, camera, start=r.pose[i, 0], random=item.draw(4), strength=r.trials.noise),
+        **logged(r.robot, *motion, params, camera, start=r.pose[i, 0], random=item.draw(4), strength=r.trials.noise),
         "obs": {"t": decisions, **numbered("o#", r.obs[i, : len(decisions)])},
         "target": _targets(r, i, decisions),
         "flow": {"t": start, **_flow_at_links(r, i, ticks)},

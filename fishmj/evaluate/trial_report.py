@@ -142,10 +142,10 @@ def number(x: float, form: str) -> str:
     return format(x, form) if isfinite(x) else "-"
 
 
-def by_condition(summary: dict, which: str, keys=MAIN) -> list[dict]:
+def by_condition(summary: dict, which: str) -> list[dict]:
     """Rows by speed (`by_speed`) or by direction (`by_los`) of one controller, values only."""
     head = {"by_speed": "flow [m/s]", "by_los": "los [deg]" if summary.get("task") != ANGLE else "angle [deg]"}[which]
-    order, has = sorted(summary[which], key=float), [k for k in keys if k in summary["overall"]]
+    order, has = sorted(summary[which], key=float), [k for k in MAIN if k in summary["overall"]]
     return [{head: name, **{SHORT[k][0]: cell(k, summary[which][name][k], interval=False) for k in has}} for name in order]
 
 
@@ -159,13 +159,13 @@ def conditions_of(summary: dict) -> dict[str, str]:
 def corrected(r: Result) -> list[dict]:
     """Rows, one for each trial of the water hybrid: the changes by its segments, and the uncertainty at its end."""
     rows = []
-    for i, told in enumerate(corrections(r)):
-        segments = told["segments"]
+    for i, change in enumerate(corrections(r)):
+        segments = change["segments"]
         seen = [row for row in segments if "before" in row]
         moved = [f"{row['applied']:.0f} s" for row in seen if row["moved"]]
-        stream = [f"{u:+.3f} ({sd:.3f})" for u, sd in zip(told["stream"], told["stream_sd"], strict=True)]
+        stream = [f"{u:+.3f} ({sd:.3f})" for u, sd in zip(change["stream"], change["stream_sd"], strict=True)]
         kinds = [*KINDS, *(f"tail {kind}" for kind in KINDS)]
-        factors = zip(kinds, told["factors"], told["factors_sd"], strict=True)
+        factors = zip(kinds, change["factors"], change["factors_sd"], strict=True)
         row = {"trial": name_of(r, i), "segments": len(segments), "moved at": ", ".join(moved) or "-"}
         row["miss before, after"] = "; ".join(f"{s['before']:.2f}, {s['after']:.2f}" for s in seen) or "-"
         row["stream [m/s]"] = ", ".join(stream)
@@ -204,8 +204,7 @@ def write(
     replay: writes the page that plays the worst trial; None: no such page.
     again: command that repeats the judgement with trial folders and the replay of the worst trial, for a page without them.
 
-    Raises:
-        StoreError: some parts could not be written or drawn; names each with the reason. All other parts were written.
+    Raises StoreError: some parts could not be written or drawn; names each with the reason. All other parts were written.
     """
     shown: list[tuple[Path, str]] = []
     failed: dict[str, Exception] = {}

@@ -49,8 +49,7 @@ class GainSearch(NamedTuple):
     def of(cls, name: str, file: Path | None) -> "GainSearch":
         """Searched gains of a controller, from a file of gains where it has them, else the shipped ones.
 
-        Raises:
-            ConfigError: none of them may be changed.
+        Raises ConfigError: none of them may be changed.
         """
         entries = shipped_gains()[name]
         values = gains_of(name, file=file)

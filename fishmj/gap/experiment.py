@@ -157,7 +157,7 @@ def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
 
 def advise(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent_bar) -> Verdict:
     """A CLASS verdict with the next experiment from a quick calculation, and its rivals' values for a longer one without data."""
-    sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(e, found, verdict))
+    sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(found, verdict))
     if len(sides) < 2:
         return verdict
     quick = experiment_scores(e.model, sides, e.records[0], hinted_experiments(sides), null, bars=bars)
@@ -182,7 +182,7 @@ def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
 
 
-def hypotheses_of(e: Likelihood, found: Selection, verdict: Verdict) -> list[Hypothesis]:
+def hypotheses_of(found: Selection, verdict: Verdict) -> list[Hypothesis]:
     """Remaining explanations: the best, then each listed rival in its place; without rivals, the next of the last round."""
     if not found.steps:
         return []

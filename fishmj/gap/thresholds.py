@@ -78,8 +78,7 @@ Thresholds = namedtuple(
 def thresholds(name: str | Path = "gap") -> Thresholds:
     """The thresholds of a shipped file by name, or of the user's own TOML.
 
-    Raises:
-        ConfigError: an unknown table or key, or a value of another type.
+    Raises ConfigError: an unknown table or key, or a value of another type.
     """
     path = resolve(name)
     given = read_toml(path)

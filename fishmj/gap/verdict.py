@@ -4,7 +4,6 @@ from dataclasses import asdict, dataclass, field
 
 from fishmj.gap.wording import level, number, pair, percent, quantity, sizes, title
 
-ANSWERS = ("AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE")
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
 
@@ -182,10 +181,10 @@ def moved(before: float, after: float | None, where: str, unit: str, shrinks: bo
     """A gap in words; after: None if nothing was changed. shrinks: True if the residual does too."""
     if after is None:
         return f"{pair(before, None)} {where} ({unit})"
-    said = ", it grows" if after > before else ""
+    message = ", it grows" if after > before else ""
     if shrinks and before > max(after, 1.0):
-        said = f", {percent((before - max(after, 1.0)) / (before - 1.0))} of what is above 1 is gone"
-    return f"{pair(before, after)} {where} ({unit}){said}"
+        message = f", {percent((before - max(after, 1.0)) / (before - 1.0))} of what is above 1 is gone"
+    return f"{pair(before, after)} {where} ({unit}){message}"
 
 
 def round_text(taken: bool, gain: float, over_floor: "tuple[float, float] | None") -> str:

@@ -95,8 +95,7 @@ def investigate(
         further: after CLASS, search for the deciding experiment; after UNEXPLAINED, for the terms that describe the rest.
         bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
 
-    Raises:
-        LogError: fewer than two trials, or a trial that cannot be compared. ConfigError: a page with an invalid number.
+    Raises LogError: fewer than two trials, or a trial that cannot be compared; ConfigError: a page with an invalid number.
     """
     gates = gates or frozen()
     null = null or SimulatedNull()

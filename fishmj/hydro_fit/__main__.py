@@ -52,8 +52,7 @@ def run(verb: str, argv: list[str]) -> int | None:
 def gathered(robot: Robot, args) -> Path:
     """Data set for the bare verb: at hand, or solved first; refused before the fit if it is too small.
 
-    Raises:
-        DatasetError: no data to check the fit. ConfigError: as `default_dataset.segments_at_hand`.
+    Raises DatasetError: no data to check the fit; ConfigError: as `default_dataset.segments_at_hand`.
     """
     from fishmj.hydro_fit.campaign.data.default_dataset import Request, segments_at_hand
 
@@ -145,8 +144,7 @@ def slip_of(data: SegmentDataset, asked: float | None, model: HydroModel | None 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
     """Records of one part at one slip ratio, without repeats.
 
-    Raises:
-        ConfigError: the data are of another robot, or the part is empty.
+    Raises ConfigError: the data are of another robot, or the part is empty.
     """
     about = data.robot
     if (about["name"], about["joints"]) != (robot.name, robot.n_joints):
@@ -164,8 +162,7 @@ def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> l
 def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
     """Training and validation records at one slip ratio; if none validate there, every fifth training record does.
 
-    Raises:
-        DatasetError: fewer than `FEWEST` free swims to fit, or none to validate: a fit would be meaningless.
+    Raises DatasetError: fewer than `FEWEST` free swims to fit, or none to validate: a fit would be meaningless.
     """
     from fishmj.hydro_fit.fit.rollout import SHORTEST, is_free
 

@@ -44,18 +44,18 @@ def write(
 ) -> Path:  # fmt: skip
     """Judges `model` on held-out records and writes report.html and report.json; returns the page's path."""
     found = free_swims.judge(model, robot, records, repeats)
-    swum = free_swims.FreeSwims(model, robot, records)
-    forces, runs = by_regime(model, robot, records), free_runs(swum)
+    swims = free_swims.FreeSwims(model, robot, records)
+    forces, runs = by_regime(model, robot, records), free_runs(swims)
     points = static_map(model, robot, records)
-    pictures = [("Means of free swims, with the 90 % band", means_figure(swum, model.band))]
-    pictures.append((f"Free runs from {swum.began:g} s on, {found['freerun_s']:g} s", runs_figure(swum)))
+    pictures = [("Means of free swims, with the 90 % band", means_figure(swims, model.band))]
+    pictures.append((f"Free runs from {swims.began:g} s on, {found['freerun_s']:g} s", runs_figure(swims)))
     if points:
         pictures.append(("Held fish: mean force by the second, in head axes", forces_figure(points)))
-    grid, turns = gait_rows(swum)
+    grid, turns = gait_rows(swims)
     folder.mkdir(parents=True, exist_ok=True)
-    told: dict[str, Any] = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
-    told |= {"preview": model.preview, "coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
-    write_json(folder / "report.json", told)
+    figures: dict[str, Any] = {"check": found, "forces": forces, "free_runs": runs, "gaits": grid, "turns": turns}
+    figures |= {"preview": model.preview, "coefficients": coefficients(model), "notes": model.notes, "dataset": model.dataset}
+    write_json(folder / "report.json", figures)
     tables = [("Check", check_rows(found)), ("Forces without the acceleration's part", forces), ("Free runs", runs)]
     tables += [("Swimming straight", grid), ("Turning", turns), ("Coefficients", coefficients(model))]
     sections = [pages.Section(title, "", [pages.table(rows)]) for title, rows in tables]
@@ -80,10 +80,10 @@ def check_rows(found: dict) -> list[dict]:
     for key, value in found["figures"].items():
         for name, part in value.items() if isinstance(value, dict) else [("", value)]:
             limit, own = found["tolerances"][key], found["repeatability"].get(key)
-            told = " to ".join(f"{x:g}" for x in limit) if isinstance(limit, list) else f"{limit:.3g}"
+            text = " to ".join(f"{x:g}" for x in limit) if isinstance(limit, list) else f"{limit:.3g}"
             passed = limit[0] <= part <= limit[1] if isinstance(limit, list) else found["passed"].get(key)
             verdict = {True: "yes", False: "no", None: "cannot tell"}[passed]
-            row = {"figure": f"{key} {name}".strip(), "value": part, "tolerance": told, "solver's own": own, "n": found["n"][key]}
+            row = {"figure": f"{key} {name}".strip(), "value": part, "tolerance": text, "solver's own": own, "n": found["n"][key]}
             rows.append(row | {"passed": verdict})
     return rows
 

@@ -119,20 +119,20 @@ def judge(
     Returns:
         figures, tolerances, repeatability, passed by figure, n by figure, coverage90 by channel, ok.
     """
-    swum = FreeSwims(model, robot, records)
-    got, n = errors(swum, swum.late)
+    swims = FreeSwims(model, robot, records)
+    got, n = errors(swims, swims.late)
     held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = _thrust(model, robot, held), len(held)
-    far = np.linalg.norm(swum.cruise_track.q[..., :2] - swum.cruise.q[:, 1:, :2], axis=-1)
-    last = swum.cruise.mask.sum(1).astype(int) - 1
+    far = np.linalg.norm(swims.cruise_track.q[..., :2] - swims.cruise.q[:, 1:, :2], axis=-1)
+    last = swims.cruise.mask.sum(1).astype(int) - 1
     got["freerun_position_error"] = float(far[np.arange(len(far)), last].mean())
     n["freerun_position_error"] = len(far)
-    got["guard_rate"], n["guard_rate"] = float(swum.track.outside.mean()), len(swum.fleet.q)
-    mean, seen = (prediction_interval.means(track, swum.fleet) for track in (swum.track, recorded(swum.fleet)))
-    cover = prediction_interval.covered(mean, swum.members, seen, model.band)
+    got["guard_rate"], n["guard_rate"] = float(swims.track.outside.mean()), len(swims.fleet.q)
+    mean, seen = (prediction_interval.means(track, swims.fleet) for track in (swims.track, recorded(swims.fleet)))
+    cover = prediction_interval.covered(mean, swims.members, seen, model.band)
     own = repeatability(robot, repeats) if repeats else {}
     tolerance = {key: max(stated, 2 * own.get(key, 0.0)) for key, stated in STATED.items()}
-    ran = float(swum.cruise.mask.sum(1).min() * records[0].tick)
+    ran = float(swims.cruise.mask.sum(1).min() * records[0].tick)
     told = [key for key in STATED if np.isfinite(got[key]) and (key != "freerun_position_error" or ran > FREERUN - 1e-6)]
     passed = {key: bool(got[key] <= tolerance[key]) for key in told}
     passed["coverage90"] = all(COVER[0] <= value <= COVER[1] for value in cover.values())
@@ -141,7 +141,7 @@ def judge(
         "figures": got | {"coverage90": cover},
         "tolerances": tolerance | {"coverage90": list(COVER)},
         "repeatability": own,
-        "n": n | {"coverage90": len(swum.fleet.q)},
+        "n": n | {"coverage90": len(swims.fleet.q)},
         "freerun_s": ran,
         "passed": passed,
         "not_told": sorted(set(STATED) - set(passed)),

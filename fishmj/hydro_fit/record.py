@@ -116,8 +116,7 @@ def files(folder: Path, name: str) -> tuple[Path, Path]:
 def write_record(folder: Path, meta: dict, arrays: dict[str, np.ndarray]) -> dict:
     """Keeps one segment; returns its metadata with `file`. Without arrays only the description is written, with the reason.
 
-    Raises:
-        StoreError: the disk refuses.
+    Raises StoreError: the disk refuses.
     """
     path, about = files(folder, meta["id"])
     meta = {"schema": SCHEMA, "units": UNITS, **meta}
@@ -132,8 +131,7 @@ def write_record(folder: Path, meta: dict, arrays: dict[str, np.ndarray]) -> dic
 def read_record(folder: Path, name: str) -> SegmentRecord:
     """Reads one segment, its arrays checked against the sha256 beside them.
 
-    Raises:
-        DatasetError: one of the two files is missing, or they do not belong together.
+    Raises DatasetError: one of the two files is missing, or they do not belong together.
     """
     path, about = files(folder, name)
     meta = described(about)
@@ -151,11 +149,7 @@ def read_record(folder: Path, name: str) -> SegmentRecord:
 
 
 def described(about: Path) -> dict:
-    """JSON of a segment.
-
-    Raises:
-        DatasetError: missing, damaged, or not a segment.
-    """
+    """JSON of a segment. Raises DatasetError: missing, damaged, or not a segment."""
     try:
         meta = read_json(about)
     except StoreError as error:

@@ -61,9 +61,8 @@ class SegmentDataset:
     def names(self, split: str, *, block: str | None = None, slip: float | None = None) -> list[str]:
         """Ids of the segments with arrays.
 
-        Raises:
-            DatasetError: the test part, in a data set that was not opened for the check; a part that is not installed; an
-                unknown split.
+        Raises DatasetError: the test part, in a data set that was not opened for the check; a part that is not installed; an
+        unknown split.
         """
         if split not in SPLITS:
             raise DatasetError(f"{self.folder}: split {split!r}; expected one of {', '.join(SPLITS)}")
@@ -82,9 +81,9 @@ class SegmentDataset:
             and (slip is None or abs(meta["grid"]["slip"] - slip) < 1e-9)
         ]
 
-    def records(self, split: str, *, block: str | None = None, slip: float | None = None) -> Iterator[SegmentRecord]:
+    def records(self, split: str, *, slip: float | None = None) -> Iterator[SegmentRecord]:
         """The segments of one split, read one at a time; arguments and errors as in `names`."""
-        return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, block=block, slip=slip))
+        return (read_record(self.folder / SEGMENTS, name).steadied for name in self.names(split, slip=slip))
 
     def __getitem__(self, name: str) -> SegmentRecord:
         """Reads one segment by id; errors as in `names`."""
@@ -100,9 +99,8 @@ class SegmentDataset:
 def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
     """Opens a data set after checking every file of it; `test` also opens the test part, for the check command only.
 
-    Raises:
-        DatasetError: files missing, changed or not in the manifest; schemas, units, solvers, robots or grids mixed; an episode
-            in the wrong split. Lists the files, the expected and the found.
+    Raises DatasetError: files missing, changed or not in the manifest; schemas, units, solvers, robots or grids mixed; an episode
+    in the wrong split. Lists the files, the expected and the found.
     """
     folder = Path(folder)
     manifest, whole = _manifest(folder)

@@ -50,8 +50,8 @@ def check(argv: list[str]) -> int:
     more = (f", {len(impossible)} not physical" if impossible else "") + (f", {len(changed)} files changed" if changed else "")
     console.say(f"{len(audits)} trials read, {len(broken)} refused{more}")
     if args.json:
-        told = {"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed, "not_physical": impossible}
-        console.emit_json(told)
+        result = {"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed, "not_physical": impossible}
+        console.emit_json(result)
     return console.FAILED_CHECK if broken or changed or impossible else console.OK
 
 

@@ -64,8 +64,7 @@ class Dataset:
 def read_dataset(folder: str | Path, *, verify: bool = True) -> Dataset:
     """Opens a data set; with `verify` every file is hashed against the manifest first.
 
-    Raises:
-        LogError: the folder holds no trial. StoreError: no manifest, or files missing or changed (all are listed).
+    Raises LogError: the folder holds no trial; StoreError: no manifest, or files missing or changed (all are listed).
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -211,8 +210,7 @@ def write_dataset(
 def write_bundle(path: "str | Path", trials: Iterable[Trial]) -> Path:
     """Writes trials (synthetic or measured) into one file, atomically.
 
-    Raises:
-        LogError: no trial, two of one name, or a value that is not finite.
+    Raises LogError: no trial, two of one name, or a value that is not finite.
     """
     arrays, about = {}, []
     for trial in trials:
@@ -231,15 +229,14 @@ def write_bundle(path: "str | Path", trials: Iterable[Trial]) -> Path:
         about.append({"name": trial.name, "meta": trial.meta, "steps": steps})
     if not about:
         raise LogError(f"{path}: no trials to write")
-    told = json.dumps(plain({"schema": BUNDLE, "trials": about}))
-    return write_npz(path, arrays | {"about": np.frombuffer(told.encode(), np.uint8)})
+    text = json.dumps(plain({"schema": BUNDLE, "trials": about}))
+    return write_npz(path, arrays | {"about": np.frombuffer(text.encode(), np.uint8)})
 
 
 def read_bundle(path: "str | Path") -> list[Trial]:
     """The trials of a bundle, in the order in which they were written.
 
-    Raises:
-        StoreError: missing, damaged, or no bundle. LogError: a table that breaks the schema. ConfigError: an invalid name.
+    Raises StoreError: missing, damaged, or no bundle; LogError: a table that breaks the schema; ConfigError: an invalid name.
     """
     arrays = read_npz(path)
     try:

@@ -22,7 +22,6 @@ from fishmj.base.errors import ConfigError, UnknownName
 PERIOD = 0.02  # s, between commands
 LEAD = 0.6  # s at rest before anything moves
 JOINTS = 3  # that the experiments are written for
-LIMIT = np.pi / 3  # rad, the servos' clamp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,18 +77,6 @@ def bent(commands: np.ndarray, joints: int) -> np.ndarray:
 def names() -> tuple[str, ...]:
     """Ids of the library, in the order of a session."""
     return tuple(_MAKERS)
-
-
-def mirrored(run: Excitation) -> Excitation:
-    """The run with left and right exchanged."""
-    (x, y, yaw), (u, v, r) = run.start, run.push
-    return Excitation(
-        id=f"{run.id}_mirrored",
-        commands=-run.commands,
-        about=f"mirror image of {run.id}: tells an asymmetric robot from a world that is",
-        start=(x, -y, -yaw),
-        push=(u, -v, -r),
-    )
 
 
 def gait(

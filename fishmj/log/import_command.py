@@ -170,8 +170,7 @@ def _meta(args: Namespace) -> dict:
 def robot_of(text: str) -> tuple[str, int]:
     """Name and number of joints (0: not known) of a robot: its TOML, a shipped one's file or its own name, or any name.
 
-    Raises:
-        ConfigError: no such file, not TOML, or no name that may stand in a path.
+    Raises ConfigError: no such file, not TOML, or no name that may stand in a path.
     """
     path = None
     if text.endswith(".toml"):
@@ -356,11 +355,11 @@ def _told(notes: dict[str, list[str]]) -> list[str]:
 
 def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
     """Raises LogError with the first recordings that could not be read, in one line."""
-    told = list(found.skipped.values())
-    more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
+    reasons = list(found.skipped.values())
+    more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     others = not args.skip_bad and any(name not in found.skipped for name, _ in found.trials)
     leave = "; import the others with --skip-bad" if others else ""
-    raise LogError(_line("; ".join(told[:3])) + more + leave)
+    raise LogError(_line("; ".join(reasons[:3])) + more + leave)
 
 
 def _nothing(args: Namespace, found: ImportResult) -> NoReturn:
@@ -401,8 +400,8 @@ def _write(
     """Writes the trials that convert, and adds the others to `found.skipped`. Returns rows, notes, the manifest's meta."""
     rows: list[dict] = []
     notes: dict[str, list[str]] = {}
-    told: dict[str, str] = {}  # filled before the manifest, which comes last
-    said: dict[str, set[str]] = {"licence": set(), "source": set()}
+    about: dict[str, str] = {}  # filled before the manifest, which comes last
+    stated: dict[str, set[str]] = {"licence": set(), "source": set()}
 
     def trials() -> Iterator[tuple[str, Trial]]:
         with console.Progress(len(found.trials), "import", unit="trials") as bar:
@@ -418,43 +417,42 @@ def _write(
                         _refuse_bad(args, found)
                     continue
                 notes[name] = list(trial.notes)
-                for key, values in said.items():
+                for key, values in stated.items():
                     values |= {str(value)} if (value := trial.value(key)) else set()
                 yield name, trial
                 if bar.elapsed > SOON:
                     bar.update(i + 1)
-        told.update({"format": found.format} | {key: "; ".join(sorted(values))[:500] for key, values in said.items() if values})
+        about.update({"format": found.format} | {key: "; ".join(sorted(words))[:500] for key, words in stated.items() if words})
 
     made = trials()
     if (first := next(made, None)) is None:
         _nothing(args, found)
     try:
-        write_dataset(args.out, chain([first], made), meta=told, page=found.page or None)
+        write_dataset(args.out, chain([first], made), meta=about, page=found.page or None)
     except BaseException:
         shutil.rmtree(args.out, ignore_errors=True)  # it did not exist before
         raise
-    return rows, notes, told
+    return rows, notes, about
 
 
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     """Trial with the command line's meta data, which take precedence over those of the file."""
-    said = dict(meta)
-    if (bounds := said.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
-        said[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
-    whole = {"origin": "measured", **trial.meta, **said}
+    stated = dict(meta)
+    if (bounds := stated.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
+        stated[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
+    whole = {"origin": "measured", **trial.meta, **stated}
     notes = list(trial.notes)
-    joints = said.get("joints")
+    joints = stated.get("joints")
     has = max((len([c for c in columns if c[0] in "cj" and c[1:].isdecimal()]) for columns in trial.tables.values()), default=0)
     if joints and has and has != joints:
-        notes.append(f"the robot {said.get('robot')} has {joints} joints, the columns tell of {has}")
+        notes.append(f"the robot {stated.get('robot')} has {joints} joints, the columns tell of {has}")
     return replace(trial, meta=whole, name=name, notes=tuple(_line(note) for note in notes))
 
 
 def _physical(trial: Trial) -> Trial:
     """The trial without failed reads, and with notes on implausible motion.
 
-    Raises:
-        LogError: the trial contradicts itself: a heading, a sign or a unit differs from the map.
+    Raises LogError: the trial contradicts itself: a heading, a sign or a unit differs from the map.
     """
     trial, left_out = physical_checks.without_failed_reads(trial)
     found = physical_checks.examine(trial)

@@ -21,16 +21,15 @@ DAMAGE = (  # what a damaged file raises in a library that reads it, besides the
 def most_bytes() -> int:
     """Largest number of bytes of one recording, on disk or unpacked; set by an environment variable in gigabytes.
 
-    Raises:
-        ConfigError: the variable is no positive number.
+    Raises ConfigError: the variable is no positive number.
     """
-    said = os.environ.get(VARIABLE, "")
+    text = os.environ.get(VARIABLE, "")
     try:
-        gb = float(said) if said else DEFAULT_GB
+        gb = float(text) if text else DEFAULT_GB
     except ValueError:
         gb = 0.0
     if not 0 < gb < 1e6:
-        raise ConfigError(f"{VARIABLE} = {quoted(said)}: expected gigabytes, for example 8")
+        raise ConfigError(f"{VARIABLE} = {quoted(text)}: expected gigabytes, for example 8")
     return int(gb * 1e9)
 
 
@@ -49,8 +48,7 @@ def regular(path: Path, *, empty: bool = False) -> int:
     Args:
         empty: accept an empty file.
 
-    Raises:
-        LogError: no such file, a pipe, a device or a folder, empty, or beyond the limit.
+    Raises LogError: no such file, a pipe, a device or a folder, empty, or beyond the limit.
     """
     if why := why_unreadable(path):
         raise LogError(f"{path}: {why}")

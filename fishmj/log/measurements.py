@@ -37,11 +37,7 @@ def write(folder: "str | Path", page: Mapping) -> Path:
 
 
 def numbers(page: dict, table: str, key: str, path: "str | Path" = FILE) -> np.ndarray:
-    """Repeats of one measurement.
-
-    Raises:
-        ConfigError: missing, or not positive.
-    """
+    """Repeats of one measurement. Raises ConfigError: missing, or not positive."""
     value = page.get(table, {}).get(key)
     found = np.atleast_1d(np.array([np.nan] if value is None else value, float))
     if not np.all(np.isfinite(found)) or np.any(found <= 0):

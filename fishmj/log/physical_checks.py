@@ -75,8 +75,7 @@ def examine(trial: Trial, only: Iterable[str] = ()) -> list[PhysicalFinding]:
     Args:
         only: names of checks; all by default.
 
-    Raises:
-        LogError: `[plausible]` of the trial is no table of bounds.
+    Raises LogError: `[plausible]` of the trial is no table of bounds.
     """
     bounds = bounds_of(trial.meta, trial.name or "trial")
     wanted = set(only) or {check.name for check in CHECKS}
@@ -341,10 +340,10 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         return
     if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False or (turned <= TURN and not ahead):
         return
-    told = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
+    message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
     near = round(mean / 90) * 90
     if turned > TURN and near and abs(mean - near) < NEAR:
-        yield IMPORT, f"{told}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
+        yield IMPORT, f"{message}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
         return
     compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
     if near and abs(mean - near) < NEAR:
@@ -353,7 +352,7 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         cause = "a compass heading, clockwise from north (give columns.yaw sign = -1 and a zero of 90 deg)"
     else:
         cause = "another zero of the heading"
-    yield NOTE, f"{told}: {cause}, or a current carries it"
+    yield NOTE, f"{message}: {cause}, or a current carries it"
 
 
 def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
@@ -487,8 +486,8 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
     vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
     mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE
     pace = np.hypot(vx, vy)
-    swum = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
-    return (np.arctan2(vy, vx)[swum], mean[swum]) if swum.sum() >= FEWEST else None
+    moving = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
+    return (np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
 
 
 def _drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:

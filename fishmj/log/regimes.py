@@ -95,8 +95,7 @@ def label(
         tank: half width in x and in y, m, centred on the origin; without it near_wall is not available.
         step: least jump of a command, rad; turning: rad/s; behind: joint error that indicates a torque limit, rad.
 
-    Raises:
-        LogError: the trial is shorter than one window.
+    Raises LogError: the trial is shorter than one window.
     """
     first, last = _span(trial)
     if beat is None:
@@ -107,15 +106,15 @@ def label(
         raise LogError(f"trial {trial.name or '(in memory)'}: {last - first:.3f} s long; one window takes {length:g} s")
     start = first + length * np.arange(count)
     windows = _Windows(trial, start, length, beat)
-    told: dict[str, np.ndarray | None] = {
+    labels: dict[str, np.ndarray | None] = {
         **windows.of_command(step),
         **windows.of_joints(behind),
         **windows.of_body(turning),
         "near_wall": windows.near_wall(tank, body),
         "reversing_flow": windows.reversing_flow(),
     }
-    known = tuple(name for name in LABELS if told.get(name) is not None)
-    is_ = {name: np.zeros(count, bool) if (found := told.get(name)) is None else found for name in LABELS}
+    known = tuple(name for name in LABELS if labels.get(name) is not None)
+    is_ = {name: np.zeros(count, bool) if (found := labels.get(name)) is None else found for name in LABELS}
     session = np.minimum((SESSIONS * np.arange(count)) // count, SESSIONS - 1)
     return Regimes(start, start + length, is_, windows.octant(), session, windows.battery(), known)
 

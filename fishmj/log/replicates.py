@@ -118,8 +118,7 @@ def groups(trials: Iterable[Trial]) -> dict[str, list[Trial]]:
 def scatter(key: str, trials: list[Trial]) -> Group:
     """Between-replicate variance of every channel that all trials have.
 
-    Raises:
-        LogError: fewer than two trials, or less than ten comparison times in common.
+    Raises LogError: fewer than two trials, or less than ten comparison times in common.
     """
     if len(trials) < 2:
         raise LogError(f"{key}: one trial has no replicate; record the same excitation at least twice")
@@ -145,8 +144,7 @@ def scatter(key: str, trials: list[Trial]) -> Group:
 def judge(gap: Mapping[str, float], group: Group) -> Repeatability:
     """Compares a gap (mean square error by channel, over about one trial) with the scatter of replicates.
 
-    Raises:
-        LogError: a channel of the gap has no replicates, or its replicates are identical (not measured, or the same file).
+    Raises LogError: a channel of the gap has no replicates, or its replicates are identical (not measured, or the same file).
     """
     from scipy.stats import f as fisher
 

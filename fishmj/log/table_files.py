@@ -46,8 +46,7 @@ def read_text(path: Path) -> str:
 def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
     """Columns as float64 arrays, and a function from (row, column) to file:line:column for later checks.
 
-    Raises:
-        LogError: at file:line:column, with the fix.
+    Raises LogError: at file:line:column, with the fix.
     """
     lines = read_text(path).split("\n")
     header_line = next(i for i, line in enumerate(lines) if line.strip())

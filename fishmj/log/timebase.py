@@ -94,8 +94,7 @@ def lag_between(
 ) -> Lag:
     """Lag of `later` behind `earlier`, each (name, t (T,) [s], values (T, N)); the N channels are paired in order.
 
-    Raises:
-        LogError: less than `MIN_WINDOWS` windows in common, or a channel that never moves.
+    Raises LogError: less than `MIN_WINDOWS` windows in common, or a channel that never moves.
     """
     (name_a, ta, a), (name_b, tb, b) = earlier, later
     n = min(a.shape[1], b.shape[1])

@@ -21,8 +21,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+\Z")
 def dumps(table: dict) -> str:
     """A TOML document that `tomllib.loads` reads back as `table` (tuples and arrays come back as lists).
 
-    Raises:
-        LogError: a value has no TOML form; names its dotted key.
+    Raises LogError: a value has no TOML form; names its dotted key.
     """
     return "\n".join(_block(table, ())).strip() + "\n"
 

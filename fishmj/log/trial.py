@@ -145,8 +145,7 @@ def table_spec(name: str) -> TableSpec:
 def unit(table: str, column: str) -> str:
     """Unit of a column; "" where the schema names none (counts, qualities, observations, columns beyond the schema).
 
-    Raises:
-        UnknownName: no such table.
+    Raises UnknownName: no such table.
     """
     return BY_KIND.get(table_spec(table).kind(column), "") or BY_NAME.get(re.sub(r"\d+", "#", column), "")
 

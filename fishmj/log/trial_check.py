@@ -76,8 +76,7 @@ class Plausible:
     def relaxed(self, said: Mapping, where: str) -> "Plausible":
         """Copy of the bounds with those of `said` in their place.
 
-        Raises:
-            LogError: a value is no positive number. UnknownName: no such bound.
+        Raises LogError: a value is no positive number; UnknownName: no such bound.
         """
         known = [f.name for f in fields(self)]
         for name, value in said.items():
@@ -92,8 +91,7 @@ class Plausible:
 def shipped_bounds() -> Plausible:
     """The bounds that ship with fishmj.
 
-    Raises:
-        LogError: a bound is missing or no positive number. UnknownName: an unknown bound.
+    Raises LogError: a bound is missing or no positive number; UnknownName: an unknown bound.
     """
     path = calib_folder() / "plausible.toml"
     found, names = read_toml(path), [f.name for f in fields(Plausible)]

@@ -117,8 +117,7 @@ def write_trial(
         form: "csv", "npz", or "auto" (npz for synthetic trials, csv for measured ones).
         precision: of npz columns: "auto" (see `table_files.narrow`), "float32" or "float64".
 
-    Raises:
-        LogError: the trial breaks the schema. StoreError: the folder exists, or the disk refuses.
+    Raises LogError: the trial breaks the schema; StoreError: the folder exists, or the disk refuses.
     """
     folder = Path(folder)
     meta_text = checked_meta(folder, trial.meta)
@@ -152,11 +151,7 @@ def write_trial(
 
 
 def checked_meta(folder: Path, meta: dict) -> str:
-    """The text of a trial's meta.toml.
-
-    Raises:
-        LogError: the origin is missing, a value is impossible or has no TOML form.
-    """
+    """The text of a trial's meta.toml. Raises LogError: the origin is missing, a value is impossible or has no TOML form."""
     meta = toml.nested({"schema": SCHEMA, **meta})
     if "origin" not in meta:
         raise LogError(f'{folder / META_FILE}: origin is not set; say meta["origin"] = "synthetic" or "measured"')
@@ -179,11 +174,11 @@ def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
     try:
         meta = parse_toml(text, str(path))
     except ConfigError as error:
-        told = str(error).removeprefix(f"{path}: ")
-        found = re.search(r"\(at line (\d+), column (\d+)\)", told) or re.search(r"(?:^|TOML: )line (\d+)()", told)
+        message = str(error).removeprefix(f"{path}: ")
+        found = re.search(r"\(at line (\d+), column (\d+)\)", message) or re.search(r"(?:^|TOML: )line (\d+)()", message)
         at = f":{found[1]}:{found[2] or 1}" if found else ":1:1"
-        fix = "; text needs quotes, numbers a decimal point" if told.startswith("not valid TOML") else ""
-        raise LogError(f"{path}{at}: {told}{fix}") from error
+        fix = "; text needs quotes, numbers a decimal point" if message.startswith("not valid TOML") else ""
+        raise LogError(f"{path}{at}: {message}{fix}") from error
     return meta, trial_check.check_meta(meta, str(path))
 
 

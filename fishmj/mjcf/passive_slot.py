@@ -53,8 +53,7 @@ def taken_by_another_thread() -> bool:
 def kept_empty() -> Iterator[None]:
     """Context in which MuJoCo compiles: the slot is empty, and no thread fills it.
 
-    Raises:
-        InjectionError: this thread or foreign code has filled the slot, or another thread does not empty it.
+    Raises InjectionError: this thread or foreign code has filled the slot, or another thread does not empty it.
     """
     global _compilers
     with _turn:

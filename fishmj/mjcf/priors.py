@@ -89,8 +89,7 @@ def balanced(links: Sequence[Link], mass: float) -> tuple[Link, ...]:
     the centre of mass off the centre of buoyancy. Its centre of mass lies 0.2 body heights below the axis, which rights it; a
     link that is a plate from its front on carries no ballast. Masses are rounded to 1 mg and add up to `mass`.
 
-    Raises:
-        ConfigError: the mass is not positive, or so small that a link is lost in rounding.
+    Raises ConfigError: the mass is not positive, or so small that a link is lost in rounding.
     """
     if not (np.isfinite(mass) and mass > 0):
         raise ConfigError(f"balanced: mass = {mass} kg; expected a positive mass of the whole fish")

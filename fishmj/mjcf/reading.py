@@ -76,8 +76,7 @@ def _name_of(path: Path) -> str:
 def checked(robot: Robot) -> Robot:
     """Checks a robot that was built by hand by the rules of a file; returns one that was checked before at once.
 
-    Raises:
-        DescriptionError: as `load_robot`.
+    Raises DescriptionError: as `load_robot`.
     """
     if _SOUND in vars(robot):
         return robot
@@ -198,11 +197,7 @@ def _water(given: Mapping[str, Any], links: tuple[Link, ...], where: str) -> tup
 
 
 def check_timing(timing: Timing, where: str) -> None:
-    """Checks that steps nest: physics into bus into control.
-
-    Raises:
-        ConfigError: they do not; names the nearest valid value.
-    """
+    """Checks that steps nest: physics into bus into control. Raises ConfigError: they do not; names the nearest valid value."""
     from fishmj.mjcf.relations import timing as findings
 
     for finding in findings(vars(timing)):
@@ -212,8 +207,7 @@ def check_timing(timing: Timing, where: str) -> None:
 def with_timing(robot: Robot, control_dt: float | None, command_path: str | None, where: str) -> Robot:
     """Robot with another time between decisions [s] and another path of commands; None keeps its own.
 
-    Raises:
-        UnknownName: no such path. ConfigError: the step does not fit the bus; names the nearest that does.
+    Raises UnknownName: no such path; ConfigError: the step does not fit the bus; names the nearest that does.
     """
     if command_path is not None:
         checked_name("command path", command_path, COMMAND_PATHS)

@@ -89,10 +89,10 @@ def _link(i: int, link: Mapping[str, Any]) -> Iterator[KeyFault]:
 
 def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body_sound: bool) -> Iterator[KeyFault]:
     """All links: names, length, mass, volume."""
-    told = [link["name"] for link in links]
-    for i, label in enumerate(told):
-        if label in told[:i]:
-            expected, todo = "another name for each link: they must differ", f"[[link]] {told.index(label) + 1} has it"
+    names = [link["name"] for link in links]
+    for i, label in enumerate(names):
+        if label in names[:i]:
+            expected, todo = "another name for each link: they must differ", f"[[link]] {names.index(label) + 1} has it"
             yield KeyFault("link", i, "name", shown(label), expected, todo)
     length, mass = sum(link["length"] for link in links), sum(link["mass"] for link in links)
     for key, unit, total, most in (("length", "m", length, LONGEST), ("mass", "kg", mass, HEAVIEST)):
@@ -100,7 +100,7 @@ def _together(table: Mapping[str, Any], links: Sequence[Mapping[str, Any]], body
             got, expected = f"{total:g} {unit} in all", f"at most {most:g} {unit} for the whole fish"
             yield KeyFault("link", None, key, got, expected, f"check the unit: {unit}")
     if links[0].get("fin_from") is not None and links[-1].get("fin_from") is None:
-        got = f"a plate on the first link, {told[0]!r}, and none on the last, {told[-1]!r}"
+        got = f"a plate on the first link, {names[0]!r}, and none on the last, {names[-1]!r}"
         expected, todo = "the plate of a tail on the last link", "the links stand nose first; turn them round"
         yield KeyFault("link", 0, "fin_from", got, expected, todo)
     if not body_sound:
@@ -137,9 +137,9 @@ def width_scale(table: Mapping[str, Any]) -> float | None:
 
 
 def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
-    lengths, told = {link["name"]: link["length"] for link in links}, [fin["name"] for fin in fins]
+    lengths, names = {link["name"]: link["length"] for link in links}, [fin["name"] for fin in fins]
     for i, fin in enumerate(fins):
-        if fin["name"] in told[:i]:
+        if fin["name"] in names[:i]:
             yield KeyFault("fin", i, "name", shown(fin["name"]), "another name for each fin: they must differ", "rename one")
         if fin["link"] not in lengths:
             near = get_close_matches(fin["link"], lengths, 1, 0.5)
@@ -329,7 +329,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
     from fishmj.base.errors import FishmjError
     from fishmj.effects import catalogue, effect_calibration
 
-    told = [block["name"] for block in blocks]
+    names = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
         if block["name"] not in catalogue():
             near = get_close_matches(block["name"], catalogue(), 1, 0.5)
@@ -340,8 +340,8 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
             effect_calibration.block_of(dict(block), "")
         except FishmjError as error:
             yield KeyFault("effect", i, "", " ".join(str(error).split()).strip(": "), "")
-        if block["name"] in told[:i]:
-            got = f"{shown(block['name'])}, listed {told.count(block['name'])} times"
+        if block["name"] in names[:i]:
+            got = f"{shown(block['name'])}, listed {names.count(block['name'])} times"
             yield KeyFault("effect", i, "name", got, "each effect once", "keep one block")
 
 

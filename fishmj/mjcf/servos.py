@@ -84,9 +84,8 @@ def servo_from_sheet(sheet: DataSheet, *, idle_power: float = 1.5, where: str = 
         sheet: its stall current only checks the others: `resistance` includes the gears' loss.
         idle_power: electronics of the whole robot, W. where: names the servo in errors.
 
-    Raises:
-        ConfigError: a figure is not positive, or they contradict each other: a stalled motor cannot give more than
-            V I / w0, nor do gears consume nearly all of it.
+    Raises ConfigError: a figure is not positive, or they contradict each other: a stalled motor cannot give more than V I / w0,
+    nor do gears consume nearly all of it.
     """
     stall, free, volts, current = sheet.stall_torque, sheet.no_load_speed, sheet.voltage, sheet.stall_current
     figures = {"stall torque": stall, "no-load speed": free, "voltage": volts, "resolution": sheet.resolution}

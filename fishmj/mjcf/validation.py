@@ -63,7 +63,7 @@ def _single_keys(table: Mapping[str, Any]) -> Iterator[KeyFault]:
     try:
         Description.model_validate({key: item for key, item in table.items() if key not in surplus})
     except ValidationError as error:
-        told: dict[tuple, KeyFault] = {}
+        faults: dict[tuple, KeyFault] = {}
         entries = error.errors(include_url=False, include_context=False)
         meant = {
             (*e["loc"][:-1], near[0]) for e in entries[:MOST] if e["type"] == "extra_forbidden" and (near := _nearest(e["loc"]))
@@ -72,10 +72,10 @@ def _single_keys(table: Mapping[str, Any]) -> Iterator[KeyFault]:
             if entry["type"] == "missing" and entry["loc"] in meant:
                 continue  # mistyped, which is another line
             finding = _finding(entry, table)
-            told.setdefault(finding[:3], finding)
-            if len(told) == MOST:
+            faults.setdefault(finding[:3], finding)
+            if len(faults) == MOST:
                 break
-        yield from told.values()
+        yield from faults.values()
 
 
 def _nearest(place: Sequence[Any]) -> list[str]:

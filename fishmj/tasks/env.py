@@ -97,8 +97,7 @@ class StationHold:
         control_dt, command_path: seconds between two decisions, path of the commands between them; the robot's by default.
         reward: weights of the paper's reward, wG, wD [1/m], wS [s2/rad2].
 
-    Raises:
-        ConfigError, UnknownName: an invalid argument. MissingExtra: "compiled" without numba.
+    Raises ConfigError, UnknownName: an invalid argument. MissingExtra: "compiled" without numba.
     """
 
     def __init__(

@@ -226,8 +226,7 @@ def options_for(task: Any, given: dict, also: Iterable[str] = ()) -> tuple[TaskO
     Args:
         task: as `course_of` takes it. also: options of other objects, for the message.
 
-    Raises:
-        ConfigError, UnknownName: an option that does not exist or is invalid.
+    Raises ConfigError, UnknownName: an option that does not exist or is invalid.
     """
     general = {f.name for f in fields(TaskOptions)}
     special = options_of(task) - general

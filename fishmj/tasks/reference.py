@@ -160,8 +160,7 @@ def named(task: Any) -> Any:
 def course_of(task: Any, **options: Any) -> Any:
     """Course of a task. task: name of COURSES, text of one that the user loaded in this process, class or object.
 
-    Raises:
-        UnknownName: no such task; text that was not loaded is never run. OwnCodeError: it is not a task.
+    Raises UnknownName: no such task; text that was not loaded is never run; OwnCodeError: it is not a task.
     """
     if isinstance(task, str) and task in COURSES:
         return COURSES[task](**options)

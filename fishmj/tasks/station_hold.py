@@ -152,8 +152,7 @@ def privileged_scale(joints: int) -> np.ndarray:
 def visible(joints: int, hide=()) -> list[bool]:
     """Mask of the 5 + 2 J observations that remain when the groups `hide` are set to zero.
 
-    Raises:
-        UnknownName: a group that does not exist.
+    Raises UnknownName: a group that does not exist.
     """
     for name in hide:
         if name not in GROUPS:
@@ -221,8 +220,7 @@ def outside(xp, pose):
 def acting(action, shape: tuple, who: str) -> np.ndarray:
     """Returns the action for the bus and the reward: float64, clipped to [-1, 1].
 
-    Raises:
-        ConfigError: another shape, not numbers, or not finite.
+    Raises ConfigError: another shape, not numbers, or not finite.
     """
     return np.clip(checked_array(f"{who}: action", action, shape), -1.0, 1.0)
 

@@ -170,8 +170,7 @@ def weight(text: str) -> tuple[str, float]:
 def settings_from(args, run=None):
     """Preset, or settings of a run to resume, with all options of the command line.
 
-    Raises:
-        ConfigError, UnknownName: invalid options, or own code of the run that the command line does not name again.
+    Raises ConfigError, UnknownName: invalid options, or own code of the run that the command line does not name again.
     """
     from fishmj.base import plugins
     from fishmj.engines import own_effects
@@ -326,11 +325,11 @@ def check_folders(args, folders: list[Path]) -> None:
         if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
     if args.resume and not any((folder / "checkpoints").is_dir() for folder in folders):
-        said = "start without --resume"
+        message = "start without --resume"
         if inside := sorted(path.parent.name for path in (args.out or Path()).glob("seed-*/checkpoints")):
             listed = ",".join(name.removeprefix("seed-") for name in inside)
-            said = f"there are the runs {', '.join(inside)}: add --seeds {listed}"
-        raise ConfigError(f"{', '.join(map(str, folders))}: nothing to resume; {said}")
+            message = f"there are the runs {', '.join(inside)}: add --seeds {listed}"
+        raise ConfigError(f"{', '.join(map(str, folders))}: nothing to resume; {message}")
 
 
 def main(argv: list[str]) -> int:
@@ -429,11 +428,11 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
             f"{r['algorithm']} {run.name}: {r['steps']:,} control steps in {took} on {r['engine']}; {judged}",
             f"policy: {r['policy']}",
         )
-    told: dict = {"runs": results}
+    result: dict = {"runs": results}
     if args.sweep:
         table = sweep_table(runs, results)
-        told["sweep"] = table
-        write_json(runs[0].folder.parents[1 if args.seeds and len(args.seeds) > 1 else 0] / "sweep.json", told)
+        result["sweep"] = table
+        write_json(runs[0].folder.parents[1 if args.seeds and len(args.seeds) > 1 else 0] / "sweep.json", result)
         rows, points = table["rows"], table["points"]
         console.say("", console.table(rows, list(dict.fromkeys(key for row in rows for key in row))))
         console.say("", "means over the seeds, on the tuning flows")
@@ -443,7 +442,7 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
             again = "judge it on other draws with: fishmj evaluate"
             console.say("", f"best on the tuning flows: {best['point']}; {again} {shlex.join(names)}")
     if args.json:
-        console.emit_json(told)
+        console.emit_json(result)
     if results and results[-1]["stopped"]:
         last = results[-1]
         settings = runs[len(results) - 1].settings

@@ -36,8 +36,7 @@ def pick_engine(settings: Settings) -> str:
 def robot_for(settings: Settings):
     """Robot in the run's water, with its command path, control step and the effects that it draws.
 
-    Raises:
-        UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
+    Raises UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
     """
     robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
     return with_timing(robot, settings.control_dt or None, settings.command_path, "train --control-dt")
@@ -58,8 +57,7 @@ def settled(settings: Settings) -> Settings:
 
     A run keeps these, so that it continues with them even if a default changes later.
 
-    Raises:
-        UnknownName, ConfigError: an invalid setting. OwnCodeError: of an algorithm or task of the user's own.
+    Raises UnknownName, ConfigError: an invalid setting; OwnCodeError: of an algorithm or task of the user's own.
     """
     from fishmj.tasks.env import Options
 
@@ -188,8 +186,7 @@ class OwnAlgorithm:
 
     The trained actor must equal the written policy: a file holds tanh(MLP(observation / scale)), and `act` is compared with it.
 
-    Raises:
-        OwnCodeError: it fails, or returns something else.
+    Raises OwnCodeError: it fails, or returns something else.
     """
 
     def __init__(self, text: str, env, config: Any, steps: int, settings: Settings):
@@ -239,10 +236,10 @@ class OwnAlgorithm:
         try:
             policy = policy_of(self.policy_layers(training.actor), self.settings, {})
         except Exception as error:
-            said = " ".join(str(error).split())[:200]
+            message = " ".join(str(error).split())[:200]
             raise OwnCodeError(
                 f"{self.what}: init gave no training whose `actor` is a list of (weights (in, out), bias (out,)) from "
-                f"{self.env.n_input} inputs to {self.env.n_act} actions; turned for the file: {said}"
+                f"{self.env.n_input} inputs to {self.env.n_act} actions; turned for the file: {message}"
             ) from error
         if self.settings.task.get("memory", 1) > 1 or self.settings.task.get("hide"):
             return  # a window of past observations, or weights that are cut: not one observation in, one action out

@@ -61,8 +61,7 @@ def train_and_correct(
         slip, domain, device: of the flow solver, by default those of the water's own segments.
         steps: control steps of each round; by default `AGAIN`, from nothing the settings' own.
 
-    Raises:
-        ConfigError: the folder holds another run, or the water cannot be refitted. KeyboardInterrupt: a training was stopped.
+    Raises ConfigError: the folder holds another run, or the water cannot be refitted; KeyboardInterrupt: a training was stopped.
     """
     robot = with_timing(load_robot(settings.robot), settings.control_dt or None, settings.command_path, "train --control-dt")
     model = first_water(settings, slip)

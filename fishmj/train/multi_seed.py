@@ -66,8 +66,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
     for i, lane in enumerate(lanes):
         lane.export("last", training.actor, i, done)
     seconds = time.monotonic() - start
-    told = [summary_of(lane.settings, lane.folder, done, seconds, lane.best, bool(asked)) for lane in lanes]
-    return [{**one, "together": len(seeds)} for one in told]
+    summaries = [summary_of(lane.settings, lane.folder, done, seconds, lane.best, bool(asked)) for lane in lanes]
+    return [{**one, "together": len(seeds)} for one in summaries]
 
 
 class Lane:

@@ -49,8 +49,7 @@ class PlannedRun(NamedTuple):
 def grid_points(parser: console.Parser, args: argparse.Namespace) -> list[tuple[str, argparse.Namespace]]:
     """Points of `--sweep NAME VALUE ...`, as text and as parsed arguments; of a command without it the one point "".
 
-    Raises:
-        ConfigError: an option that is not swept, is given twice, or has no value.
+    Raises ConfigError: an option that is not swept, is given twice, or has no value.
     """
     axes, own = [], f"reward.{'|reward.'.join(REWARD)}".split("|")
     options = {name.replace("_", "-"): name for name in SWEPT} | {h.option[2:]: name for name, h in hyperparameters().items()}
@@ -149,8 +148,7 @@ def train_here(runs: Sequence[PlannedRun], command: str, devices: int, resume: b
 def train_over_ray(address: str, runs: Sequence[PlannedRun], command: str, devices: int) -> list[dict]:
     """Summaries of runs, each on a worker of a Ray cluster; errors as `RayCluster.spread`.
 
-    Raises:
-        ConfigError: a folder that is not shared.
+    Raises ConfigError: a folder that is not shared.
     """
     waiting = deque(RayTask(run.name, run._replace(folder=run.folder.resolve())) for run in runs)
     cluster, made = RayCluster(address), {}

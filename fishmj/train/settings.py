@@ -212,15 +212,14 @@ def own_code(settings: Settings) -> dict[str, str]:
 def same(folder: Path, mine: Settings, theirs: dict) -> None:
     """Refuses to continue a run with settings other than its own, `theirs` as in its files.
 
-    Raises:
-        ConfigError: with both values of those that differ.
+    Raises ConfigError: with both values of those that differ.
     """
     a, b = flat(as_dict(mine)), flat(theirs)
     other = [k for k in {**a, **b} if a.get(k) != b.get(k) and k not in FREE]
     if other:
-        said = "; ".join(f"{key} = {a.get(key, 'not set')}, the run has {b.get(key, 'not set')}" for key in other[:3])
+        message = "; ".join(f"{key} = {a.get(key, 'not set')}, the run has {b.get(key, 'not set')}" for key in other[:3])
         more = f" and {len(other) - 3} more" if len(other) > 3 else ""
-        raise ConfigError(f"{folder}: {said}{more}; a run goes on with its own settings: leave these options out")
+        raise ConfigError(f"{folder}: {message}{more}; a run goes on with its own settings: leave these options out")
 
 
 def flat(table: dict) -> dict:

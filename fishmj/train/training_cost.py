@@ -32,8 +32,7 @@ ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of 
 def agree(runs: Sequence[Settings], *, together: bool, yes: bool, devices: int = 1) -> None:
     """Asks before runs of more than a week or more memory than there is; without a terminal it raises TooMuch.
 
-    Raises:
-        TooMuch: the user did not agree. UnknownName, ConfigError: an invalid setting.
+    Raises TooMuch: the user did not agree; UnknownName, ConfigError: an invalid setting.
     """
     estimated = [(s, c) for s in runs if hasattr(c := config_of(s), "operations") and hasattr(c, "bytes")]
     if not estimated:

@@ -154,8 +154,7 @@ def model_of(robot: Robot) -> "HydroModel | None":
 def _own(robot: Robot, name: str) -> str:
     """Resolves `fitted`: the fitted water that the description states, else the one of the robot's name; other names unchanged.
 
-    Raises:
-        ConfigError: there is none.
+    Raises ConfigError: there is none.
     """
     kind, member = split_member(name)
     if kind != FITTED:

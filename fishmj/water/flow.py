@@ -98,12 +98,10 @@ def _street(length: float) -> np.ndarray:
     return (field / np.sqrt(np.mean(field**2)))[None].astype(np.float32)
 
 
-def _shear(length: float) -> np.ndarray:
-    """Sinusoidal shear u'(y), constant along the stream, periodic over 8 L, (1, n, n, 2)."""
-    n = _CELLS
-    profile = np.sqrt(2) * np.sin(2 * pi * np.arange(n) / n)
-    field = np.zeros((1, n, n, 2), np.float32)
-    field[..., 0] = profile[None, None, :]
+def _shear() -> np.ndarray:
+    """Sinusoidal shear u'(y), constant along the stream, one period in n cells, (1, n, n, 2)."""
+    field = np.zeros((1, _CELLS, _CELLS, 2), np.float32)
+    field[..., 0] = np.sqrt(2) * np.sin(2 * pi * np.arange(_CELLS) / _CELLS)
     return field
 
 
@@ -120,7 +118,7 @@ def table_of(preset: str, box: int = 0) -> tuple[np.ndarray, float]:
     if preset == "vortex_street":
         return _street(length), cell
     if preset == "shear":
-        return _shear(length), cell
+        return _shear(), cell
     return np.ascontiguousarray(solenoidal_box(length, box)[..., :2]), cell
 
 

@@ -129,11 +129,7 @@ class WaterFile(_Table):
 
 
 def check(table: dict, where: str) -> None:
-    """Checks a parsed TOML against the schema.
-
-    Raises:
-        DescriptionError: every key that does not fit, one line each.
-    """
+    """Checks a parsed TOML against the schema. Raises DescriptionError: every key that does not fit, one line each."""
     try:
         WaterFile.model_validate(table)
     except ValidationError as error:
@@ -206,8 +202,7 @@ class HydroModel:
     def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
         """Nominal robot in this water. The water belongs to the body: it is the same with another servo, mass or timing.
 
-        Raises:
-            ConfigError: the model was fitted for another body or another time step.
+        Raises ConfigError: the model was fitted for another body or another time step.
         """
         if robot_hash(robot) != self.robot_sha256 and body_hash(robot) != self.body_sha256:
             raise ConfigError(
@@ -264,8 +259,7 @@ class HydroModel:
 def member_of(model: HydroModel, number: "str | int") -> HydroModel:
     """One member of the ensemble as a water of its own: its strip coefficients and its residual, which then has no spread.
 
-    Raises:
-        ConfigError: `number` is not one of 0 to E - 1.
+    Raises ConfigError: `number` is not one of 0 to E - 1.
     """
     count = len(model.members)
     if not str(number).isdecimal() or not int(number) < count:

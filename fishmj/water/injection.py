@@ -91,8 +91,7 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
     Yields:
         Handle, whose `step(data)` advances the fish by one physics step.
 
-    Raises:
-        InjectionError: the slot belongs to someone else or to another thread, or the model has a water already.
+    Raises InjectionError: the slot belongs to someone else or to another thread, or the model has a water already.
     """
     return installed(Handle(model, water))
 
@@ -120,8 +119,7 @@ def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | No
 
     MuJoCo responds to a NaN or a huge number with a reset to qpos0 and a warning counter; the previous state is lost.
 
-    Raises:
-        SimDiverged: names the quantity and the degree of freedom.
+    Raises SimDiverged: names the quantity and the degree of freedom.
     """
     before = data.warning.number.copy()
     time = data.time

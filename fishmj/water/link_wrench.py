@@ -30,8 +30,7 @@ class LinkWrench:
         model: from `fishmj.mjcf.build`, root as the water's.
         water: `PlanarWater` or `spatial_water.FreeWater`.
 
-    Raises:
-        ConfigError: the water is another root's, the model is not a single chain, or its integrator is not Euler's.
+    Raises ConfigError: the water is another root's, the model is not a single chain, or its integrator is not Euler's.
     """
 
     def __init__(self, model: mujoco.MjModel, water: PlanarWater):
@@ -84,8 +83,7 @@ class LinkWrench:
     def step(self, data: mujoco.MjData) -> None:
         """Does `apply` and one `mj_step`, and advances the water's memory.
 
-        Raises:
-            SimDiverged: a force or the state is not finite. All errors of the water; nothing has then changed.
+        Raises SimDiverged: a force or the state is not finite. All errors of the water; nothing has then changed.
         """
         self.apply(data)
         checked_step(self.model, data)

@@ -58,13 +58,12 @@ def unflat(values) -> strip_forces.Coefficients:
 def prior_of(robot: Robot) -> Prior:
     """Prior of this robot's coefficients: its water table gives the mean, the calibration file the rest.
 
-    Raises:
-        ConfigError: a coefficient of the robot lies outside the file's bounds, or it has one that a fit to the solver lacks.
+    Raises ConfigError: a coefficient of the robot lies outside the file's bounds, or it has one that a fit to the solver lacks.
     """
     links = len(robot.links)
     if any(robot.water.get(key, unset) != unset for key, unset in strip_forces.SHAPE.items()):
-        said = f"{robot.name} [water] {', '.join(strip_forces.SHAPE)}: a water is fitted to the solver without them"
-        raise ConfigError(f"{said}; leave them out of the description that hydro_fit starts from")
+        text = f"{robot.name} [water] {', '.join(strip_forces.SHAPE)}: a water is fitted to the solver without them"
+        raise ConfigError(f"{text}; leave them out of the description that hydro_fit starts from")
     c = strip_forces.coefficients(robot.water, links)
     names, mean = names_of(links), flat(c)
     kinds = [name.rstrip("0123456789") for name in names]

@@ -33,9 +33,9 @@ def usable() -> bool:
     try:
         probe.lower(*[jax.ShapeDtypeStruct((BLOCK, 4), jnp.float32)] * 2).compile()
     except Exception as error:  # noqa: BLE001  whatever a driver or a compiler raises: the same water goes on by other means
-        said = " ".join(str(error).split())[:200]
+        text = " ".join(str(error).split())[:200]
         console.warn(
-            f"this GPU does not take the kernels of the fitted water ({type(error).__name__}: {said}). Matrix products take their"
+            f"this GPU does not take the kernels of the fitted water ({type(error).__name__}: {text}). Matrix products take their"
             " place: the same swim, but slower. The kernels need an NVIDIA GPU of compute capability 8.0 or more"
         )
         return False

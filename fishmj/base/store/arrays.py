@@ -43,8 +43,7 @@ def read_npz(path: str | Path, *, widened: bool = False) -> dict[str, np.ndarray
     Args:
         widened: the caller turns every number into float64, so each counts as 8 bytes (a byte of zeros takes up eight then).
 
-    Raises:
-        StoreError: missing, truncated, bit-flipped, not an archive, with pickled objects, or too large when unpacked.
+    Raises StoreError: missing, truncated, bit-flipped, not an archive, with pickled objects, or too large when unpacked.
     """
     path, arrays, wide = Path(path), {}, 0
     if why := why_unreadable(path):
@@ -103,8 +102,7 @@ def write_tensors(path: str | Path, arrays: dict[str, np.ndarray], meta: dict) -
 def read_tensors(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
     """Arrays and meta of a file written by `write_tensors`; the embedded sha256 is checked before anything is returned.
 
-    Raises:
-        StoreError: missing, truncated, bit-flipped, pickled, or written by something else.
+    Raises StoreError: missing, truncated, bit-flipped, pickled, or written by something else.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load
@@ -145,16 +143,15 @@ def _digest(arrays: dict[str, np.ndarray], header: str) -> str:
 def unpacked_limit() -> int:
     """Largest number of bytes that a packed file may unpack to: 256 MiB, or FISHMJ_MAX_UNPACKED in bytes.
 
-    Raises:
-        StoreError: the variable holds no number.
+    Raises StoreError: the variable holds no number.
     """
-    told = os.environ.get("FISHMJ_MAX_UNPACKED", "")
-    if not told:
+    text = os.environ.get("FISHMJ_MAX_UNPACKED", "")
+    if not text:
         return UNPACKED
     try:
-        return int(float(told))
+        return int(float(text))
     except (ValueError, OverflowError) as error:
-        raise StoreError(f"FISHMJ_MAX_UNPACKED = {told!r}: expected a number of bytes, for example 4e9") from error
+        raise StoreError(f"FISHMJ_MAX_UNPACKED = {text!r}: expected a number of bytes, for example 4e9") from error
 
 
 def _measure(path: Path, archive: zipfile.ZipFile) -> None:
@@ -230,8 +227,7 @@ class Checkpoints:
     def latest(self) -> Checkpoint | None:
         """The newest intact checkpoint, or None when there is none at all. A damaged newer one is named in a warning.
 
-        Raises:
-            StoreError: there are checkpoints and every one is damaged.
+        Raises StoreError: there are checkpoints and every one is damaged.
         """
         damage = []
         for path in self.paths():

@@ -26,8 +26,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 def write_bytes(path: str | Path, data: bytes) -> Path:
     """Replaces `path` by `data` atomically; parent folders are made.
 
-    Raises:
-        StoreError: could not be written; `errno` is kept, the old file is untouched, no temporary file stays.
+    Raises StoreError: could not be written; `errno` is kept, the old file is untouched, no temporary file stays.
     """
     path = Path(path)
     temporary = temporary_beside(path)
@@ -64,8 +63,7 @@ def write_json(path: str | Path, value) -> Path:
 def clear(folder: Path, *patterns: str) -> None:
     """Removes the results of an earlier run from `folder`: files and folders whose names match one of the globs, nothing else.
 
-    Raises:
-        StoreError: one cannot be removed.
+    Raises StoreError: one cannot be removed.
     """
     for path in [path for pattern in patterns for path in folder.glob(pattern)]:
         try:
@@ -115,11 +113,7 @@ def plain(value):
 
 
 def read_json(path: str | Path):
-    """Parses one JSON file.
-
-    Raises:
-        StoreError: missing, no plain file, or not JSON.
-    """
+    """Parses one JSON file. Raises StoreError: missing, no plain file, or not JSON."""
     if why := why_unreadable(path):
         raise StoreError(f"{path}: {why}")
     try:

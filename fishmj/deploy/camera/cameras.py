@@ -175,11 +175,7 @@ class SharedFrames:
         self._seen = 0
 
     def open(self) -> None:
-        """Attaches to the shared memory.
-
-        Raises:
-            ConfigError: there is no such shared memory, or it holds something else.
-        """
+        """Attaches to the shared memory. Raises ConfigError: there is no such shared memory, or it holds something else."""
         memory = _attached(self.name)
         ring = memory.buf if memory.buf is not None else memoryview(b"")
         magic, width, height, slots = struct.unpack_from("<4q", ring) if len(ring) >= 8 * HEADER else (0, 0, 0, 0)

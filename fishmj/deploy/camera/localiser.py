@@ -153,14 +153,14 @@ class InProcess:
         self._read()
         found, (*lines, self._text) = [], self._text.split(b"\n")
         for line in filter(None, lines):
-            told = json.loads(line)
-            if "failed" in told:
-                self.failed = ConfigError(told["failed"])
+            packet = json.loads(line)
+            if "failed" in packet:
+                self.failed = ConfigError(packet["failed"])
                 continue
-            self.counts = dict(zip(COUNTS, told["counts"], strict=True))
-            if "t" in told:
-                x, y, yaw = told["pose"]
-                found.append(Fix(told["t"], x, y, yaw, np.reshape(told["covariance"], (3, 3)), told["quality"]))
+            self.counts = dict(zip(COUNTS, packet["counts"], strict=True))
+            if "t" in packet:
+                x, y, yaw = packet["pose"]
+                found.append(Fix(packet["t"], x, y, yaw, np.reshape(packet["covariance"], (3, 3)), packet["quality"]))
         return found
 
     def close(self) -> None:

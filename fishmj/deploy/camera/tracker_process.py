@@ -55,11 +55,11 @@ def main(argv: list[str]) -> int:
 
 def line(fix: Fix | None, counts: dict[str, int]) -> dict:
     """Report on one picture, for the process's output."""
-    told: dict = {"counts": list(counts.values())}
+    packet: dict = {"counts": list(counts.values())}
     if fix is not None:
-        told |= {"t": fix.t, "pose": [fix.x, fix.y, fix.yaw], "quality": fix.quality}
-        told["covariance"] = [float(value) for value in fix.covariance.ravel()]
-    return told
+        packet |= {"t": fix.t, "pose": [fix.x, fix.y, fix.yaw], "quality": fix.quality}
+        packet["covariance"] = [float(value) for value in fix.covariance.ravel()]
+    return packet
 
 
 def _write(text: str) -> None:

@@ -79,8 +79,8 @@ def main(argv: list[str]) -> int:
         f"written to {args.out}",
     )
     if args.json:
-        told = {"pictures": len(lens.used), "lens_rms_px": lens.rms, "marks_rms_m": fit.rms, "worst_m": worst}
-        console.emit_json({**told, "camera": fit.calibration.camera, "out": args.out})
+        result = {"pictures": len(lens.used), "lens_rms_px": lens.rms, "marks_rms_m": fit.rms, "worst_m": worst}
+        console.emit_json({**result, "camera": fit.calibration.camera, "out": args.out})
     if fit.rms <= ROUGH:
         return console.OK
     console.warn(
@@ -93,8 +93,7 @@ def main(argv: list[str]) -> int:
 def pictures(folder: Path) -> list:
     """Every picture of a folder as (H, W, 3) uint8, by name.
 
-    Raises:
-        StoreError: no such folder, no picture in it, or one that does not read.
+    Raises StoreError: no such folder, no picture in it, or one that does not read.
     """
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
     if not files:
@@ -109,11 +108,7 @@ def pictures(folder: Path) -> list:
 
 
 def marks(path: Path) -> list[Mark]:
-    """The marks of a TOML file.
-
-    Raises:
-        ConfigError: no such file, or an entry that is no mark.
-    """
+    """The marks of a TOML file. Raises ConfigError: no such file, or an entry that is no mark."""
     table, found = read_toml(path), []
     rows = table.get("mark", [])
     if set(table) - {"mark"} or not isinstance(rows, list):

@@ -31,12 +31,12 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     installed = {name: version(name) for name in (*required(), *OPTIONAL)}
     rows = [{"package": name, "version": found or "missing"} for name, found in installed.items()]
-    told: dict[str, Any] = {"packages": installed, "serial": _tried(serial_devices), "ticks": ticks(args.seconds)}
-    told["cameras"] = _tried(cameras) if args.camera else None
+    result: dict[str, Any] = {"packages": installed, "serial": _tried(serial_devices), "ticks": ticks(args.seconds)}
+    result["cameras"] = _tried(cameras) if args.camera else None
     console.say(console.table(rows), "")
-    console.say(f"serial devices: {_listed(told['serial'])}")
-    console.say(f"cameras: {_listed(told['cameras'])}" if args.camera else "cameras: not opened; --camera does")
-    even = told["ticks"]
+    console.say(f"serial devices: {_listed(result['serial'])}")
+    console.say(f"cameras: {_listed(result['cameras'])}" if args.camera else "cameras: not opened; --camera does")
+    even = result["ticks"]
     console.say(
         f"ticks: {even['ticks']} at 50 Hz, late by {even['p50_ms']:.2f} ms (median), {even['p99_ms']:.2f} ms (99 %), "
         f"{even['worst_ms']:.2f} ms (worst); {even['late']} later than {1e3 * LATE:g} ms, {even['dropped']} dropped"
@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
     for name in missing:
         console.warn(f"{name} is missing: pip install -r {LIST}")
     if args.json:
-        console.emit_json(told)
+        console.emit_json(result)
     return console.FAILED_CHECK if missing else console.OK
 
 

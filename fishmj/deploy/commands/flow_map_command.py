@@ -69,8 +69,7 @@ def main(argv: list[str]) -> int:
 def measured(args, pump: float, paths: list[Path]) -> Setting:
     """Measures one setting of the pump.
 
-    Raises:
-        ConfigError, LogError: a record that cannot be read, or is too short; names the setting.
+    Raises ConfigError, LogError: a record that cannot be read, or is too short; names the setting.
     """
     drifts = [path.is_dir() for path in paths]
     names = tuple(path.name for path in paths)

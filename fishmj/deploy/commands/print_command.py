@@ -33,8 +33,7 @@ class Page(NamedTuple):
 def tag_page(family: str, number: int, size: float) -> Page:
     """A page with one tag; size: m, outer side of the black border.
 
-    Raises:
-        UnknownName: another family. ConfigError: a number outside the family, or a tag too large for every sheet.
+    Raises UnknownName: another family; ConfigError: a number outside the family, or a tag too large for every sheet.
     """
     code = code_of(family, number)
     label = f"AprilTag {family}, number {number}, black border {1e3 * size:g} mm; right edge to the nose (--tag-mount X,Y,0)"
@@ -44,8 +43,7 @@ def tag_page(family: str, number: int, size: float) -> Page:
 def board_page(columns: int, rows: int, square: float) -> Page:
     """A page with a chessboard of columns x rows inner corners; square: m.
 
-    Raises:
-        ConfigError: a board too large for every sheet.
+    Raises ConfigError: a board too large for every sheet.
     """
     black = np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0
     return _page(black, 1e3 * square, f"board of {columns}x{rows} inner corners, squares of {1e3 * square:g} mm")
@@ -67,11 +65,7 @@ def _page(black: np.ndarray, side: float, label: str, rim: int = 0) -> Page:
 
 
 def pdf(pages: list[Page]) -> bytes:
-    """The pages as a PDF at true scale.
-
-    Raises:
-        MissingExtra: matplotlib is not installed.
-    """
+    """The pages as a PDF at true scale. Raises MissingExtra: matplotlib is not installed."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
@@ -93,8 +87,8 @@ def pdf(pages: list[Page]) -> bytes:
             axes.plot([left, left + RULE], [15, 15], color="black", lw=0.5)
             for x in np.arange(0, RULE + 1, 10):
                 axes.plot([left + x] * 2, [15, 19 if x % 50 == 0 else 17], color="black", lw=0.5)
-            told = "print at 100 %, not fitted to the page: this rule is 100 mm"
-            axes.text(width / 2, 8, f"{page.label}\n{told}", ha="center", va="center", fontsize=8)
+            text = "print at 100 %, not fitted to the page: this rule is 100 mm"
+            axes.text(width / 2, 8, f"{page.label}\n{text}", ha="center", va="center", fontsize=8)
             file.savefig(figure)
     return out.getvalue()
 

@@ -106,14 +106,14 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
     mcap = _mcap(out, robot) if args.mcap and outcome.cause else None
     console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else "") if outcome.cause else outcome.words)
     if args.json:
-        told: dict[str, Any] = {
+        result: dict[str, Any] = {
             "complete": outcome.complete,
             "torque_off": outcome.released,
             "swum_s": round(outcome.swum, 3),
             "ended_by": outcome.words,
             "out": out,
         }
-        console.emit_json({**told, "mcap": mcap, "figures": outcome.figures})
+        console.emit_json({**result, "mcap": mcap, "figures": outcome.figures})
     return console.OK if outcome.complete and outcome.released is not False else console.FAILED_CHECK
 
 
@@ -141,8 +141,7 @@ def warn_of_training(controller: LearnedController, robot: Robot) -> None:
 def pilot_of(args: Any, robot: Robot) -> tuple[LearnedController | None, Pilot]:
     """The policy that the options name and its pilot; (None, pilot) for a gait.
 
-    Raises:
-        UsageError: neither. ConfigError: no such policy, one for another robot, or a gait that this robot cannot follow.
+    Raises UsageError: neither; ConfigError: no such policy, one for another robot, or a gait that this robot cannot follow.
     """
     if args.gait is None and args.policy is None:
         raise UsageError("deploy swim: one of --policy NAME and --gait HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] is needed")
@@ -170,8 +169,8 @@ def _swum(
         log = stack.enter_context(TrialLog(out, meta_of(args, robot, controller, wired), robot.n_joints))
         if args.ros:
             stack.enter_context(wiring.published(args.ros, log))
-        for told in target_warnings(args.target, args.bound, wired.calibration):
-            console.warn(told)
+        for warning in target_warnings(args.target, args.bound, wired.calibration):
+            console.warn(warning)
         stop = Event()
         plan = SwimPlan(target=args.target, seconds=args.seconds, wait=args.wait, bound=args.bound)
         status = StatusLine(args.seconds)
@@ -192,16 +191,16 @@ def _swum(
 
 def target_warnings(target: tuple[float, float], bound: float, calibration: Calibration | None) -> list[str]:
     """Warnings about a target (x, y) m: beyond the bound, m, or outside the camera's view."""
-    told, place = [], "{:g}, {:g} m".format(*target)
+    warnings, place = [], "{:g}, {:g} m".format(*target)
     if max(map(abs, target)) > bound:
-        told.append(f"--target {place}: beyond --bound {bound:g}; the fish is stopped before it gets there")
+        warnings.append(f"--target {place}: beyond --bound {bound:g}; the fish is stopped before it gets there")
     if calibration is not None:
         pixel = calibration.to_pixel([target])
         back = calibration.to_tank(pixel)[0]
         inside = bool(np.all((pixel[0] >= 0) & (pixel[0] <= np.array(calibration.size) - 1)))
         if not inside or np.hypot(*(back - target)) > APART:
-            told.append(f"--target {place}: outside of the camera's picture; the pose is lost before the fish gets there")
-    return told
+            warnings.append(f"--target {place}: outside of the camera's picture; the pose is lost before the fish gets there")
+    return warnings
 
 
 def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired: wiring.Wired) -> dict:
@@ -247,8 +246,7 @@ def place(text: str) -> tuple[float, float]:
 def flow(text: str) -> tuple[float, float]:
     """Parses `0.2,3.14`: speed, m/s, and direction of flow, rad; or `tank_flow.toml@22.5`, a flow map at a pump setting.
 
-    Raises:
-        ArgumentTypeError: neither. ConfigError: a map that cannot be read, or a setting outside of it.
+    Raises ArgumentTypeError: neither; ConfigError: a map that cannot be read, or a setting outside of it.
     """
     path, mark, setting = text.rpartition("@")
     if mark:

@@ -54,6 +54,6 @@ def main(argv: list[str]) -> int:
     share = found.fixes / found.frames
     console.say(f"{found.fixes} fixes in {found.frames} frames ({100 * share:.1f} %), trial in {found.folder}")
     if args.json:
-        told = {"frames": found.frames, "fixes": found.fixes, "rate": found.rate, "overlay": found.overlay}
-        console.emit_json({**told, "out": Path(found.folder)})
+        result = {"frames": found.frames, "fixes": found.fixes, "rate": found.rate, "overlay": found.overlay}
+        console.emit_json({**result, "out": Path(found.folder)})
     return console.OK if share >= LEAST else console.FAILED_CHECK

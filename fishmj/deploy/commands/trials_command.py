@@ -209,8 +209,7 @@ class Walk:
     def _swum(self, place: Place, folder: Path) -> SwimOutcome:
         """Opens all devices, swims, and closes them.
 
-        Raises:
-            ConfigError: no person at a tank that needs one; the robot does not arm; errors of `wiring.wire`.
+        Raises ConfigError: no person at a tank that needs one; the robot does not arm; errors of `wiring.wire`.
         """
         args, water = self.args, self.waters.get(place.spec.speed)
         stream = (place.spec.speed, float(self.session.what["direction"]))
@@ -237,8 +236,8 @@ class Walk:
                 self.person.hands_off(clock)
                 wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
             meta = {**meta_of(given, self.robot, self.controller, wired), **condition_of(place, water)}
-            for told in target_warnings(place.target, args.bound, wired.calibration):
-                console.warn(told)
+            for warning in target_warnings(place.target, args.bound, wired.calibration):
+                console.warn(warning)
             log = stack.enter_context(TrialLog(folder, meta, self.robot.n_joints))
             status = StatusLine(seconds, quiet=args.yes)
             if watched is not None:

@@ -10,8 +10,7 @@ from fishmj.mjcf.drawing import solids
 def write(folder: Path, robot: Robot) -> Path:
     """Writes FOLDER.mcap beside a trial folder.
 
-    Raises:
-        MissingExtra: mcap is not installed. StoreError: the file is there, or the disk refuses.
+    Raises MissingExtra: mcap is not installed; StoreError: the file is there, or the disk refuses.
     """
     out = folder.with_name(f"{folder.name}.mcap")
     export(folder, "mcap", out, shape=lambda trial: solids(robot))

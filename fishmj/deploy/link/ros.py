@@ -146,6 +146,6 @@ def placed(at: Message, pose: Pose) -> Message:
 
 def battery(at: Message, volts: float, amperes: float | None) -> Message:
     """sensor_msgs/msg/BatteryState; a current that drains is negative there."""
-    said = {"voltage": float(volts), "present": True, "power_supply_technology": UNKNOWN}
+    state = {"voltage": float(volts), "present": True, "power_supply_technology": UNKNOWN}
     current = {} if amperes is None else {"current": -float(amperes)}
-    return {"header": {"stamp": at, "frame_id": "fish"}, **said, **current}
+    return {"header": {"stamp": at, "frame_id": "fish"}, **state, **current}

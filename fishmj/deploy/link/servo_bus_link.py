@@ -35,9 +35,8 @@ class ServoBusLink:
         signs: 1, or -1 for a servo that turns the other way. move_time: duration of each move, s, 0: at once.
         bus: kind of servos (`protocols.servo_bus.BUSES`). baud: of the line; None: the bus's own. tick: s.
 
-    Raises:
-        ConfigError: a repeated id, or one outside the bus's range; a move time on a bus without one; a line too slow for so many
-            servos.
+    Raises ConfigError: a repeated id, or one outside the bus's range; a move time on a bus without one; a line too slow for so
+    many servos.
     """
 
     watched, greets = False, False

@@ -47,11 +47,7 @@ class UdpTransport:
         self._open = threading.Event()
 
     def open(self) -> None:
-        """Binds the socket and starts to listen.
-
-        Raises:
-            ConfigError: no such host, or the port of this computer is taken.
-        """
+        """Binds the socket and starts to listen. Raises ConfigError: no such host, or the port of this computer is taken."""
         try:
             self._address = socket.getaddrinfo(self.host, self.port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
             made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -106,8 +102,7 @@ class UdpTransport:
 def open_serial(device: str, timeout: float, baud: int) -> Any:
     """Opens a serial line of 8N1, as `serial.Serial`; reads give up after `timeout` s.
 
-    Raises:
-        MissingExtra: pyserial is not installed. ConfigError: no such device, or no permission to open it.
+    Raises MissingExtra: pyserial is not installed; ConfigError: no such device, or no permission to open it.
     """
     import serial
 
@@ -121,8 +116,7 @@ def open_serial(device: str, timeout: float, baud: int) -> Any:
 def serial_devices() -> list[str]:
     """Serial devices of this computer.
 
-    Raises:
-        StoreError: the system cannot list them. MissingExtra: pyserial is not installed.
+    Raises StoreError: the system cannot list them. MissingExtra: pyserial is not installed.
     """
     from serial.tools import list_ports
 

@@ -99,18 +99,18 @@ def why_not_armed(newest: Telemetry | None, servo_range: float, hold: float, neu
     """
     if newest is None or newest.state is None:
         return ""
-    said = f"; it says {newest.state.name}"
+    text = f"; it says {newest.state.name}"
     if newest.state is not RobotState.IDLE:
-        return said
+        return text
     if not times_are_sound(hold, neutral):
-        return f"{said}: it was asked for hold {hold:g} s, neutral {neutral:g} s; expected 0 < hold < neutral <= {BEARABLE:g} s"
+        return f"{text}: it was asked for hold {hold:g} s, neutral {neutral:g} s; expected 0 < hold < neutral <= {BEARABLE:g} s"
     silent = [k + 1 for k, fault in enumerate(newest.fault or ()) if ServoFault.NO_REPLY in fault]
     silent += [k + 1 for k, angle in enumerate(newest.joint) if not isfinite(angle) and k + 1 not in silent]
     if silent:
-        return f"{said}: servo {', '.join(map(str, silent))} (from the head) does not answer; look at its plug"
+        return f"{text}: servo {', '.join(map(str, silent))} (from the head) does not answer; look at its plug"
     most = servo_range + Limits(servo_range=servo_range).near
     far = [f"{k + 1} at {degrees(angle):.1f} deg" for k, angle in enumerate(newest.joint) if abs(angle) > most]
     if far:
         bound = f"beyond the {degrees(most):.0f} deg from which it arms"
-        return f"{said}: joint {', '.join(far)} (from the head), {bound}; straighten it, or set the servo's zero"
-    return f"{said}, and nothing that it tells speaks against arming; do its packets arrive, and ours there?"
+        return f"{text}: joint {', '.join(far)} (from the head), {bound}; straighten it, or set the servo's zero"
+    return f"{text}, and nothing that it tells speaks against arming; do its packets arrive, and ours there?"

@@ -35,6 +35,6 @@ class Limiter:
         return allowed
 
 
-def towards_zero(last: np.ndarray, dt: float, rate: float = HOME_RATE) -> np.ndarray:
+def towards_zero(last: np.ndarray, dt: float) -> np.ndarray:
     """The next command (J,) rad on the way from `last` to zero, `dt` s later."""
-    return last - np.clip(last, -rate * dt, rate * dt)
+    return last - np.clip(last, -HOME_RATE * dt, HOME_RATE * dt)

@@ -42,8 +42,7 @@ class Journal:
     Args:
         folder: of the trial; is made. zero: s of the host's clock. columns: of every table.
 
-    Raises:
-        StoreError: the disk refuses.
+    Raises StoreError: the disk refuses.
     """
 
     def __init__(self, folder: Path, zero: float, columns: Mapping[str, Sequence[str]]):
@@ -95,8 +94,7 @@ class Journal:
 def left(folder: Path) -> Left:
     """Reads the journal of a swim in `folder`.
 
-    Raises:
-        StoreError: there is no journal, it is damaged, or its host is still running.
+    Raises StoreError: there is no journal, it is damaged, or its host is still running.
     """
     if not (folder / NAME / LAYOUT).is_file():
         whole = f"{folder}: a whole trial; nothing to recover"

@@ -60,8 +60,7 @@ def runs(asked: Sequence[str], repeats: int, joints: int) -> list[ExperimentRun]
 
     So a drift of the rig (battery, water) does not hide in one experiment.
 
-    Raises:
-        UnknownName: no such experiment. ConfigError: one that needs a tow carriage.
+    Raises UnknownName: no such experiment; ConfigError: one that needs a tow carriage.
     """
     names = [name for item in asked for name in SESSIONS.get(item, (item,))]
     found = {name: excitation.get(name, joints) for name in dict.fromkeys(names)}
@@ -95,8 +94,7 @@ class SineGait(NamedTuple):
     def commands(self, robot: Robot, seconds: float) -> np.ndarray:
         """Commands (T, J) rad for `seconds` s, one every bus tick.
 
-        Raises:
-            ConfigError: a number that is not finite, angles beyond the servos' range, or a beat that they cannot follow.
+        Raises ConfigError: a number that is not finite, angles beyond the servos' range, or a beat that they cannot follow.
         """
         servo, (frequency, amplitude, lag, bias) = robot.servo, (self[0], *np.radians(self[1:]))
         if not all(map(isfinite, self)):
@@ -107,14 +105,14 @@ class SineGait(NamedTuple):
         if not amplitude > 0.0:
             raise ConfigError(f"gait: amplitude {self.amplitude_deg:g} deg; expected above 0")
         if amplitude + abs(bias) > servo.range:
-            told = f"amplitude {self.amplitude_deg:g} and bias {self.bias_deg:g} deg reach {degrees(amplitude + abs(bias)):g} deg"
-            raise ConfigError(f"gait: {told}, the servos of {robot.name} {degrees(servo.range):g}; take less of either")
+            text = f"amplitude {self.amplitude_deg:g} and bias {self.bias_deg:g} deg reach {degrees(amplitude + abs(bias)):g} deg"
+            raise ConfigError(f"gait: {text}, the servos of {robot.name} {degrees(servo.range):g}; take less of either")
         fastest = min(servo.speed_no_load, RATE)
         if (needed := 2 * pi * frequency * amplitude) > fastest:
             most = fastest / (2 * pi * amplitude)
-            told = f"{frequency:g} Hz at {self.amplitude_deg:g} deg turns at {needed:.3g} rad/s"
+            text = f"{frequency:g} Hz at {self.amplitude_deg:g} deg turns at {needed:.3g} rad/s"
             bound = f"a joint of {robot.name} at {fastest:.3g} at most"
-            raise ConfigError(f"gait: {told}, {bound}; take {most:.2g} Hz or less, or a smaller amplitude")
+            raise ConfigError(f"gait: {text}, {bound}; take {most:.2g} Hz or less, or a smaller amplitude")
         return excitation.gait(frequency, amplitude, lag, bias, seconds, robot.n_joints, robot.timing.bus_dt)
 
 
@@ -125,20 +123,20 @@ def unpoliced(link: RobotLink, robot: Robot, at_the_tank: bool) -> Callable[[Rob
 
 def play(
     rig: Rig, run: ExperimentRun, folder: Path, meta: Mapping[str, Any], *, medium: str = "water", wait: float = 10.0,
-    stop: Callable[[], bool] = lambda: False, person: bool = False, bound: float = inf,
+    stop: Callable[[], bool] = lambda: False, bound: float = inf,
 ) -> tuple[SwimOutcome, Trial | None]:  # fmt: skip
     """Plays one experiment on a rig; the host's whole log stays in `folder`.
 
     Args:
-        medium: "air" if the fish hangs and no camera is needed. stop, person: as `SwimLoop`. bound: m, as `SwimPlan`.
+        medium: "air" if the fish hangs and no camera is needed. stop: as `SwimLoop`. bound: m, as `SwimPlan`.
 
     Returns:
         the outcome, and the trial for a data set; None if it did not play to the end.
     """
     plan = SwimPlan(seconds=run.what.seconds, wait=wait, pose=medium == "water", bound=bound)
-    told = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
-    with TrialLog(folder, told, rig.robot.n_joints) as log:
-        outcome = SwimLoop(rig, PlayedPilot(run.what.commands), plan, log, stop=stop, person=person).run()
+    about = {**meta, "medium": medium, "excitation": run.what.id, "replicate_of": run.first}
+    with TrialLog(folder, about, rig.robot.n_joints) as log:
+        outcome = SwimLoop(rig, PlayedPilot(run.what.commands), plan, log, stop=stop).run()
     if not outcome.complete:
         return outcome, None
     return outcome, kept(read_trial(folder), run)
@@ -169,8 +167,7 @@ def meta_of(robot: Robot, flow: tuple[float, float] | None, simulated: bool, not
 def kept(trial: Trial, run: ExperimentRun) -> Trial:
     """Part of a host's log for a data set: from the first played command to the last, on a clock from there.
 
-    Raises:
-        ConfigError: nothing was played.
+    Raises ConfigError: nothing was played.
     """
     cmd = trial.tables["cmd"]
     played = cmd["state"] == int(SwimState.SWIMMING)

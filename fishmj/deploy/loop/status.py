@@ -12,11 +12,7 @@ WAITING = (SwimState.DOWN, SwimState.LINKED, SwimState.ARMED)
 
 
 class StatusLine:
-    """A progress line over the seconds of a swim.
-
-    Args:
-        seconds: of the swim. quiet: show nothing.
-    """
+    """A progress line over the seconds of a swim. seconds: of the swim. quiet: show nothing."""
 
     def __init__(self, seconds: float, quiet: bool = False):
         self._bar = None if quiet else console.Progress(seconds, "swim", "s")
@@ -48,12 +44,12 @@ class StatusLine:
 
     def _wait(self, text: str, because: str, now: float) -> None:
         """Names the cause of waiting, at most once a second and on changes."""
-        told = text + (f": {because}" if because else "")
-        if self._bar is None or told == self._waits or now - self._told < 1.0:
+        message = text + (f": {because}" if because else "")
+        if self._bar is None or message == self._waits or now - self._told < 1.0:
             return
-        self._waits, self._told = told, now
+        self._waits, self._told = message, now
         with suppress(OSError):
-            self._bar.stage(told)
+            self._bar.stage(message)
 
     def warn(self, text: str) -> None:
         """Prints a line of its own, even if nothing else is shown."""

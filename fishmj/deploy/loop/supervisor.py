@@ -150,11 +150,7 @@ def decide(state: SwimState, conditions: Condition) -> Decision:
 
 
 class Supervisor:
-    """The state, and its history.
-
-    Attributes:
-        state: now. events: changes so far, oldest first.
-    """
+    """The state, and its history. state: now. events: changes so far, oldest first."""
 
     def __init__(self) -> None:
         self.state = SwimState.DOWN

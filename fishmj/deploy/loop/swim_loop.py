@@ -131,8 +131,7 @@ class SwimLoop:
     Args:
         stop: asked at every tick; True if the operator wants an end. person: a person has checked the fish since the last swim.
 
-    Raises:
-        ConfigError: the last swim ended in NEUTRAL, and no person has checked the fish.
+    Raises ConfigError: the last swim ended in NEUTRAL, and no person has checked the fish.
     """
 
     def __init__(
@@ -297,9 +296,9 @@ class SwimLoop:
         if set(lacking) - set(self._unguarded):
             self._unguarded = tuple(dict.fromkeys((*self._unguarded, *lacking)))
             self.log.meta["host"] = {**self.log.meta.get("host", {}), "unguarded": list(self._unguarded)}
-            told = f"nothing guards against {', '.join(lacking)}"
-            self.log.say(now, told)
-            self.status.warn(f"{told}: keep an eye on it")
+            text = f"nothing guards against {', '.join(lacking)}"
+            self.log.say(now, text)
+            self.status.warn(f"{text}: keep an eye on it")
 
     def _changed(self, before: SwimState, after: SwimState, now: float) -> None:
         """Reacts once to every change of state."""

@@ -252,8 +252,7 @@ class TrialLog:
     def close(self, why: str = "") -> None:
         """Writes the last rows; may be called twice, also from another thread.
 
-        Raises:
-            StoreError: the disk refuses; the trial then lies in the folder for temporary files.
+        Raises StoreError: the disk refuses; the trial then lies in the folder for temporary files.
         """
         self._stop.set()
         if self._thread is not None:
@@ -278,8 +277,7 @@ class TrialLog:
 def recovered(folder: Path) -> Trial:
     """Makes the trial of a swim whose host was killed from its journal, and writes it in its place.
 
-    Raises:
-        StoreError: there is no journal, or its host is still running. LogError: there is no row in it.
+    Raises StoreError: there is no journal, or its host is still running; LogError: there is no row in it.
     """
     meta, zero, columns, rows = left(folder)
     host = {name: value for name, value in meta.get("host", {}).items() if name != "state"}
@@ -313,8 +311,8 @@ def trial_of(raw: Mapping[str, Table], zero: float, meta: Mapping[str, Any], nam
         tables["pose"] = {"t": pose["t_taken"] - zero + late, **rest, **stamps}
         clock["pose"], latency["pose"] = "host, frame taken plus latency.pose", late
     tables = {table: _rising(columns) for table, columns in tables.items()}
-    told = {**meta, "clock": {table: clock[table] for table in tables}, **({"latency": latency} if latency else {})}
-    return Trial(told, tables, name=name)
+    about = {**meta, "clock": {table: clock[table] for table in tables}, **({"latency": latency} if latency else {})}
+    return Trial(about, tables, name=name)
 
 
 def write_whole(folder: Path, trial: Trial) -> None:

@@ -160,8 +160,8 @@ class ConditionWatch:
     def battery(self) -> str:
         """The newest voltage beside its limit, for a line that names BATTERY_LOW."""
         volts = supply(self.newest) if self.newest is not None else None
-        told = f"{volts:.2f} V, " if volts is not None else ""
-        return f"{told}low_voltage is {self.limits.battery_low:g} V: charge it, or state the bound of this battery in [rig]"
+        text = f"{volts:.2f} V, " if volts is not None else ""
+        return f"{text}low_voltage is {self.limits.battery_low:g} V: charge it, or state the bound of this battery in [rig]"
 
     def _stuck(self) -> bool:
         """Returns True if a joint hardly moves while its commands do, or stands still away from them."""

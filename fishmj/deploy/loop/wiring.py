@@ -129,8 +129,7 @@ def loopback_options(parser: console.Parser) -> None:
 def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
     """Opens all devices that the options name; `stack` closes them.
 
-    Raises:
-        ConfigError: a device is missing, or options contradict each other. MissingExtra: a package is not installed.
+    Raises ConfigError: a device is missing, or options contradict each other. MissingExtra: a package is not installed.
     """
     clock = MonotonicClock()
     if args.link.startswith("serial:") or args.protocol == SERVO_BUS:
@@ -172,8 +171,7 @@ def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], An
     Args:
         opened: makes the serial line at a baud rate.
 
-    Raises:
-        ConfigError: another count of numbers than joints; errors of `ServoBusLink`.
+    Raises ConfigError: another count of numbers than joints; errors of `ServoBusLink`.
     """
     rig = robot.rig
     zeros = tuple(map(radians, args.servo_zeros_deg)) if args.servo_zeros_deg else rig.zeros
@@ -238,8 +236,7 @@ def calibration_of(args: Any, fish: Loopback | None) -> Calibration:
 def paint_of(args: Any, robot: "str | Robot") -> tuple[Paint, float]:
     """The paint and its height over the water, m, from the options, else from the description's rig.
 
-    Raises:
-        ConfigError: the place of the paint is not stated, and the head is not that of the shipped fish.
+    Raises ConfigError: the place of the paint is not stated, and the head is not that of the shipped fish.
     """
     red, yellow, height = args.red, args.yellow, args.paint_height
     if red is None or yellow is None or height is None:
@@ -304,9 +301,9 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
     stack.callback(end_command, process, ENDS)
     line = process.stdout.readline() if process.stdout is not None else ""
     try:
-        said = json.loads(line)
-        ports = int(said["robot_port"] or 0), int(said["host_port"] or 0)
-        return Loopback(*ports, said["frames"], calibration, said["device"] or "")
+        answer = json.loads(line)
+        ports = int(answer["robot_port"] or 0), int(answer["host_port"] or 0)
+        return Loopback(*ports, answer["frames"], calibration, answer["device"] or "")
     except (ValueError, KeyError, TypeError):
         process.wait(STARTS)
         why = last_words(errors.read_text(encoding="utf-8")) or "it ended without a word"

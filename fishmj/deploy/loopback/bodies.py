@@ -46,8 +46,7 @@ def make(
         engine: of the waters fitted and structured, "mujoco" or, for hours in lockstep, "compiled", which is equal to it.
         domain: of the flow solver, `lbm_oracle.run.domain.preset`.
 
-    Raises:
-        UnknownName: no such body or effect. ConfigError: effects or turbulence that this body does not support.
+    Raises UnknownName: no such body or effect; ConfigError: effects or turbulence that this body does not support.
     """
     if name not in NAMES:
         raise UnknownName("body", name, NAMES)

@@ -37,11 +37,7 @@ class CameraFrame(NamedTuple):
 
 
 class LoopbackCamera:
-    """Frames of a body.
-
-    Args:
-        timing: of the frames. seed: of the jitter. faults: only those of the camera count.
-    """
+    """Frames of a body. timing: of the frames. seed: of the jitter. faults: only those of the camera count."""
 
     def __init__(self, body: Body, timing: CameraTiming, seed: int, faults: Iterable[LoopbackFault] = ()):
         self.body, self.timing, self._faults = body, timing, tuple(faults)

@@ -80,8 +80,7 @@ class FishLook:
             marks: "colour" (red head, yellow neck) or "tag". red, yellow: from and to x of the painted bands, m, as wide as the
                 hull; the bands of the description's rig go before them.
 
-        Raises:
-            UnknownName: other marks. ConfigError: a band that is not on the head.
+        Raises UnknownName: other marks; ConfigError: a band that is not on the head.
         """
         if marks not in ("colour", "tag"):
             raise UnknownName("marks of a drawn fish", marks, ("colour", "tag"))

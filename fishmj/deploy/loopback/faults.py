@@ -68,8 +68,7 @@ class LoopbackFault(NamedTuple):
 def parse(texts: Iterable[str]) -> tuple[LoopbackFault, ...]:
     """Parses switches of the command line.
 
-    Raises:
-        UnknownName: no such fault. ConfigError: not of the form above, or an impossible value or time.
+    Raises UnknownName: no such fault; ConfigError: not of the form above, or an impossible value or time.
     """
     return tuple(map(_fault, texts))
 

@@ -56,8 +56,7 @@ class Firmware(Protocol):
 def firmware_of(protocol: str, robot: Robot, born: float, policy_sha256: str = "") -> Firmware:
     """The firmware that speaks this protocol, booted at `born` [s].
 
-    Raises:
-        UnknownName: no such protocol. ConfigError: a robot that it cannot be on.
+    Raises UnknownName: no such protocol; ConfigError: a robot that it cannot be on.
     """
     if protocol not in PROTOCOLS:
         raise UnknownName("protocol", protocol, PROTOCOLS)
@@ -139,15 +138,15 @@ class FishmjFirmware:
         clock, measured = now - self._born, tuple(a if abs(a) <= fishmj1.MOST_ANGLE else nan for a in readings.measured)
         found = self.guard.check(clock, self.target, measured, readings.temperature, readings.voltage)
         echo, echo_time = self._echo or (None, None)
-        told = Telemetry(
+        telemetry = Telemetry(
             joint=readings.joint, seq=self._number(), time=clock, echo=echo, echo_time=echo_time,
             state=self.watchdog.state, voltage=readings.voltage, current=readings.current,
             servo_voltage=readings.servo_voltage, temperature=readings.temperature,
             fault=tuple(f | s for f, s in zip(readings.fault, found, strict=True)),
         )  # fmt: skip
-        told = fishmj1.clamped_to_wire_range(told, self._last)
-        self._last = told.joint
-        return fishmj1.encode_telemetry(told)
+        telemetry = fishmj1.clamped_to_wire_range(telemetry, self._last)
+        self._last = telemetry.joint
+        return fishmj1.encode_telemetry(telemetry)
 
     def _number(self) -> int:
         """Number of the next datagram."""
@@ -194,8 +193,8 @@ class MishFirmware:
 
     def report(self, now: float, readings: Readings) -> bytes:
         """One packet of telemetry in the robot's layout."""
-        told = Telemetry(readings.joint, servo_voltage=readings.servo_voltage, temperature=readings.temperature)
-        return mish.encode_telemetry(told, self._ids, self._firmware)
+        telemetry = Telemetry(readings.joint, servo_voltage=readings.servo_voltage, temperature=readings.temperature)
+        return mish.encode_telemetry(telemetry, self._ids, self._firmware)
 
 
 def in_counts(angle: float, scale: servo_counts.Scale = servo_counts.LX) -> float:

@@ -23,11 +23,7 @@ from fishmj.gap.laboratory import random_streams
 
 
 class LockstepClock:
-    """The host's clock.
-
-    Args:
-        origin: its value, s, at the robot's time 0; the two differ, as for any host and robot.
-    """
+    """The host's clock. origin: its value, s, at the robot's time 0; the two differ, as for any host and robot."""
 
     def __init__(self, robot: LoopbackRobot, origin: float = 100.0):
         self.robot, self.origin = robot, origin
@@ -163,8 +159,7 @@ class FixNoise(NamedTuple):
         Args:
             case: tag_clean, tag_glare, colour_clean or colour_glare.
 
-        Raises:
-            UnknownName: no such case.
+        Raises UnknownName: no such case.
         """
         table = read_toml(calib_folder() / "camera_noise.toml")
         cases = {name: entry for name, entry in table.items() if isinstance(entry, dict) and "position" in entry}

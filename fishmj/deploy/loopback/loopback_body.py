@@ -67,11 +67,7 @@ def bus_delay(robot: Robot, radio: float) -> float:
 
 
 def whole_milliseconds(seconds: float) -> int:
-    """Number of milliseconds in `seconds`.
-
-    Raises:
-        ConfigError: less than one, or a fraction.
-    """
+    """Number of milliseconds in `seconds`. Raises ConfigError: less than one, or a fraction."""
     whole = round(seconds / MILLISECOND)
     if whole < 1 or abs(whole * MILLISECOND - seconds) > 1e-6:
         raise ConfigError(f"loopback: advance({seconds}); expected whole milliseconds, 0.001 s at least")

@@ -58,8 +58,7 @@ def options() -> console.Parser:
 def numbers(*ranges: tuple[float, float]):
     """The type of an option `A,B,..` with one number a range; its values as a tuple.
 
-    Raises:
-        ArgumentTypeError: another count, or a number out of its range.
+    Raises ArgumentTypeError: another count, or a number out of its range.
     """
 
     def read(text: str) -> tuple[float, ...]:
@@ -74,8 +73,7 @@ def numbers(*ranges: tuple[float, float]):
 def served(args) -> ServeOptions:
     """Options of the server from the arguments.
 
-    Raises:
-        UnknownName, ConfigError: unknown or impossible names, faults or effects.
+    Raises UnknownName, ConfigError: unknown or impossible names, faults or effects.
     """
     if args.effect and args.body != bodies.VIRTUAL:
         raise ConfigError(f"--effect {args.effect[0][:60]}: effects hide in the second robot alone; take --body {bodies.VIRTUAL}")

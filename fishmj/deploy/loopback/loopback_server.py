@@ -313,8 +313,7 @@ class LoopbackServer:
 def serve(options: ServeOptions) -> dict[str, float]:
     """Serves in real time until Ctrl-C, the end of the time, or of the parent; prints the line above first. Returns the figures.
 
-    Raises:
-        ConfigError: another address than 127.0.0.1, a port that is taken, a body that is too slow.
+    Raises ConfigError: another address than 127.0.0.1, a port that is taken, a body that is too slow.
     """
     before = sys.getswitchinterval()
     server = LoopbackServer(options)

@@ -60,11 +60,7 @@ class LoopbackSettings:
 
 
 def make_robot(settings: LoopbackSettings) -> LoopbackRobot:
-    """The robot at its time 0.
-
-    Raises:
-        UnknownName, ConfigError: an unknown name or an impossible combination.
-    """
+    """The robot at its time 0. Raises UnknownName, ConfigError: an unknown name or an impossible combination."""
     s, described = settings, load_robot(settings.robot)
     delay, spread = (0.0, 0.0) if s.protocol == SERVO_BUS else (s.delay, s.spread)
     body = bodies.make(

@@ -43,8 +43,7 @@ class LoopbackRobot:
     Attributes:
         restarts: number of reboots of the microcontroller.
 
-    Raises:
-        UnknownName, ConfigError: a protocol or a fault that this robot does not support.
+    Raises UnknownName, ConfigError: a protocol or a fault that this robot does not support.
     """
 
     def __init__(
@@ -143,8 +142,8 @@ class LoopbackRobot:
         if isinstance(firmware, LoopbackServos):
             firmware.readings = self._readings
         self._act(firmware)
-        if told := firmware.report(self.time, self._readings):
-            self._say(told)
+        if telemetry := firmware.report(self.time, self._readings):
+            self._say(telemetry)
         self._at(self.time + PERIOD, partial(self._tick, firmware))
 
     def _hear(self, data: bytes) -> None:

@@ -22,11 +22,7 @@ VOLT_STEP, AMPERE_STEP = 0.00125, 0.00025  # V and A, INA226 with a shunt of 10 
 
 
 class RobotFaults:
-    """Applies the faults of the robot itself.
-
-    Raises:
-        ConfigError: a joint that the robot does not have.
-    """
+    """Applies the faults of the robot itself. Raises ConfigError: a joint that the robot does not have."""
 
     def __init__(self, body: Body, faults: Iterable[LoopbackFault]):
         self.body, self._faults, self._bus = body, tuple(faults), BUSES[body.robot.rig.bus]

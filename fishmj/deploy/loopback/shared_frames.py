@@ -57,8 +57,7 @@ class FrameWriter(_Ring):
     Attributes:
         name: for readers.
 
-    Raises:
-        ConfigError: an impossible size. StoreError: the machine has no room for it.
+    Raises ConfigError: an impossible size; StoreError: the machine has no room for it.
     """
 
     def __init__(self, width: int, height: int, rate: float, slots: int = SLOTS):
@@ -78,8 +77,7 @@ class FrameWriter(_Ring):
     def write(self, image: np.ndarray, t: float) -> int:
         """Writes a frame (H, W, 3) uint8 that was captured at t [s] over the oldest; returns its number.
 
-        Raises:
-            ConfigError: an image of another size or kind.
+        Raises ConfigError: an image of another size or kind.
         """
         if image.shape != (self.height, self.width, 3) or image.dtype != np.uint8:
             raise ConfigError(f"frames: image {image.shape} {image.dtype}; expected ({self.height}, {self.width}, 3) uint8")
@@ -110,11 +108,7 @@ class FrameWriter(_Ring):
 
 
 class SharedFrameReader(_Ring):
-    """Reads a ring of another process.
-
-    Raises:
-        StoreError: no ring of that name, or something else.
-    """
+    """Reads a ring of another process. Raises StoreError: no ring of that name, or something else."""
 
     def __init__(self, name: str):
         memory = _attach(name)

@@ -7,7 +7,9 @@ the ends of a tick the state follows the cubic through both states and both rate
     q(s) = q0 + s (h v0 + s (3 d - 2 h v0 - h v1 + s (h v0 + h v1 - 2 d))),   d = q1 - q0,  s in [0, 1],  h = 20 ms
 """
 
+from bisect import insort
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -59,11 +61,8 @@ class TickedBody:
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
         """Puts joint angles (J,) [rad] on the servo bus now; they arrive after the bus's delay."""
-        arrival = self.time + self._delay
-        place = len(self._waiting)
-        while place and self._waiting[place - 1][0] > arrival:
-            place -= 1
-        self._waiting.insert(place, (arrival, on_the_bus(self.robot.servo, np.asarray(command, float))))
+        due = self.time + self._delay, on_the_bus(self.robot.servo, np.asarray(command, float))
+        insort(self._waiting, due, key=itemgetter(0))
 
     def advance(self, seconds: float) -> None:
         """Advances by whole milliseconds; seconds: s."""

@@ -185,8 +185,7 @@ class VirtualBody:
 def _with_gusts(effects: Effects, flow: Flow) -> Effects:
     """The effects and, as one more, the turbulence of the flow.
 
-    Raises:
-        ConfigError: turbulence that is not uniform in space, or stated twice.
+    Raises ConfigError: turbulence that is not uniform in space, or stated twice.
     """
     if flow.rms == 0.0:
         return effects

@@ -68,8 +68,7 @@ def monitor_options(parser: console.Parser) -> None:
 def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, seconds: float) -> Watched | None:
     """Settings from the options, None without a monitor; prints the tables that will not be watched.
 
-    Raises:
-        ConfigError: a model of another chain, a missing healthy swim, or --healthy without --monitor.
+    Raises ConfigError: a model of another chain, a missing healthy swim, or --healthy without --monitor.
     """
     if args.monitor is None:
         if args.healthy:
@@ -94,11 +93,7 @@ def watched_of(args: Any, robot: Robot, flow: tuple[float, float] | None, second
 
 
 class MonitorProcess:
-    """The monitor's process: started when a swim needs it, ended by `close`; a context.
-
-    Args:
-        words: its command line.
-    """
+    """The monitor's process: started when a swim needs it, ended by `close`; a context. words: its command line."""
 
     def __init__(self, words: Sequence[str] = (sys.executable, "-m", PROCESS)):
         self.words = list(words)
@@ -249,19 +244,19 @@ class LiveMonitor:
     def _take(self) -> None:
         """Prints the answers, in the loop's own thread."""
         while self._heard:
-            told = self._heard.popleft()
-            if "alarm" in told:
-                alarm = Alarm(**told["alarm"])
+            packet = self._heard.popleft()
+            if "alarm" in packet:
+                alarm = Alarm(**packet["alarm"])
                 self.alarms.append(alarm)
                 self.say(said(alarm))
                 self._event(f"monitor: {alarm.channel}, {alarm.probe} {'+' if alarm.sign > 0 else '-'}", alarm.t)
                 self._note()
-            elif "watching" in told:
-                self._event(f"monitor: watches {', '.join(told['watching'])}", told["t"])
-            elif "end" in told:
-                self._end = told["end"]
-            elif "failed" in told and not self.failed and not self._end:
-                self.failed = str(told["failed"]).removeprefix("monitor: ")
+            elif "watching" in packet:
+                self._event(f"monitor: watches {', '.join(packet['watching'])}", packet["t"])
+            elif "end" in packet:
+                self._end = packet["end"]
+            elif "failed" in packet and not self.failed and not self._end:
+                self.failed = str(packet["failed"]).removeprefix("monitor: ")
                 self.say(f"monitor: {self.failed}; nothing is watched any more, the swim goes on")
 
     def _event(self, text: str, t: float) -> None:
@@ -271,7 +266,7 @@ class LiveMonitor:
         """Writes the table `monitor` of the trial's meta data."""
         w = self.watched
         learnt = [str(path) for path in w.healthy] or f"the first {w.settle:g} s"
-        told: dict[str, Any] = {"model": w.model, "rate": w.rate, "learnt_from": learnt, **self._end}
-        told |= {"failed": self.failed} if self.failed else {}
-        told["alarms"] = [{"t": a.t, "channel": a.channel, "probe": a.probe, "sign": a.sign} for a in self.alarms]
-        self.log.meta["monitor"] = told
+        note: dict[str, Any] = {"model": w.model, "rate": w.rate, "learnt_from": learnt, **self._end}
+        note |= {"failed": self.failed} if self.failed else {}
+        note["alarms"] = [{"t": a.t, "channel": a.channel, "probe": a.probe, "sign": a.sign} for a in self.alarms]
+        self.log.meta["monitor"] = note

@@ -157,8 +157,7 @@ def has(trials: Iterable[Trial], table: str) -> bool:
 def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power: bool = True) -> Reference:
     """Reference distribution of the healthy robot's innovations, from its trials.
 
-    Raises:
-        ConfigError: less than 80 s of it behind the run-in of every trial.
+    Raises ConfigError: less than 80 s of it behind the run-in of every trial.
     """
     made: list[dict] = []
     probes: Mapping[str, tuple[str, ...]] = {}
@@ -171,8 +170,8 @@ def reference_of(robot: Robot, trials: Iterable[Trial], pose: bool = True, power
 
 def flow_of(trial: Trial) -> tuple[float, float]:
     """(m/s, rad) of the ordered stream of a trial; still water if it states none."""
-    told = trial.meta.get("flow", {})
-    return float(told.get("speed") or 0.0), float(told.get("direction") or 0.0)
+    flow = trial.meta.get("flow", {})
+    return float(flow.get("speed") or 0.0), float(flow.get("direction") or 0.0)
 
 
 def said(alarm: Alarm) -> str:

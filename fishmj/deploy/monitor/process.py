@@ -38,8 +38,7 @@ def watch(wanted: Mapping[str, Any], lines: Iterable[Rows], tell: Callable[[dict
         wanted: model, flow (m/s, rad), rate, settle s, healthy: folders. lines: rows; poses are stamped at exposure.
         tell: receives the messages for `LiveMonitor`.
 
-    Raises:
-        FishmjError: the model or a healthy log cannot be read, or is too short.
+    Raises FishmjError: the model or a healthy log cannot be read, or is too short.
     """
     robot = load_robot(wanted["model"])
     healthy = _healthy(tuple(wanted["healthy"]))

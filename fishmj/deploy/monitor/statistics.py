@@ -48,11 +48,7 @@ def run_length(h: float, k: float = DRIFT) -> float:
 
 
 def threshold(blocks: float, k: float = DRIFT) -> float:
-    """h at which `run_length` is `blocks`.
-
-    Raises:
-        ConfigError: fewer blocks than a CUSUM needs without any shift.
-    """
+    """h at which `run_length` is `blocks`. Raises ConfigError: fewer blocks than a CUSUM needs without any shift."""
     if blocks < run_length(0.0, k):
         raise ConfigError(
             f"monitor: {blocks:.3g} blocks between false alarms of one test; expected at least {run_length(0.0, k):.0f}"
@@ -134,11 +130,7 @@ class Reference:
 
 
 def learn(blocks: Sequence[Block], probes: Mapping[str, tuple[str, ...]]) -> Reference:
-    """The reference of healthy blocks.
-
-    Raises:
-        ConfigError: too few of them.
-    """
+    """The reference of healthy blocks. Raises ConfigError: too few of them."""
     if len(blocks) < LEAST_BLOCKS:
         raise ConfigError(
             f"monitor: {len(blocks)} healthy blocks; expected at least {LEAST_BLOCKS}: give it a longer healthy log"

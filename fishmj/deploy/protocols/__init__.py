@@ -8,7 +8,7 @@
     dynamixel      packets of Dynamixel servos, protocols 2.0 and 1.0
     frame_reader   finds the frames of either in a half-duplex byte stream
     servo_bus      servo buses behind one interface: questions, answers, commands
-    servo_counts   counts <-> rad, mV, offsets
+    servo_counts   counts <-> rad, offsets
     watchdog       the robot firmware's watchdog, as a reference for the C code in `firmware/`
     firmware_guard the faults that the robot's firmware finds and reports, likewise
     policy_header  a policy as a C header

@@ -104,8 +104,7 @@ def encode_command(seq: int, time: float, joint: Sequence[float], speed: Sequenc
     Args:
         joint: rad, (J,), from the head to the tail. speed: largest speed of each, rad/s, (J,); None: the firmware's maximum.
 
-    Raises:
-        ProtocolError: a value is not finite or out of range, or the counts differ.
+    Raises ProtocolError: a value is not finite or out of range, or the counts differ.
     """
     angles = [_angle(value, f"joint {k}") for k, value in enumerate(joint)]
     speeds = [] if speed is None else [_within(value, 0.0, MOST_SPEED, f"speed {k}", "rad/s") for k, value in enumerate(speed)]
@@ -143,9 +142,8 @@ def encode_info(seq: int, time: float, info: RobotInfo) -> bytes:
 def encode_telemetry(telemetry: Telemetry) -> bytes:
     """Telemetry of the robot. Voltages of servos are sent in mV, temperatures in whole deg C.
 
-    Raises:
-        ProtocolError: seq, time or state is None; a value is not finite or out of range; counts differ; one of echo and
-            echo_time, or of voltage and current, is there without the other.
+    Raises ProtocolError: seq, time or state is None; a value is not finite or out of range; counts differ; one of echo and
+    echo_time, or of voltage and current, is there without the other.
     """
     it = telemetry
     if it.seq is None or it.time is None or it.state is None:
@@ -211,8 +209,7 @@ def clamped_to_wire_range(telemetry: Telemetry, last: Sequence[float]) -> Teleme
 def decode(data: bytes) -> Message:
     """The message in one datagram.
 
-    Raises:
-        ProtocolError: for any bytes that are not exactly one message; no other error occurs.
+    Raises ProtocolError: for any bytes that are not exactly one message; no other error occurs.
     """
     if not HEADER.size + CRC.size <= len(data) <= MOST_BYTES:
         raise ProtocolError(f"datagram of {len(data)} bytes; expected {HEADER.size + CRC.size} to {MOST_BYTES}")

@@ -6,7 +6,7 @@
 Words are little-endian. A read without parameters is the host's question; the same code with parameters is the servo's answer.
 So the length alone gives the direction, and a reader can tell its own frames on the one wire from answers. An 8-bit sum misses
 errors that keep the sum, such as two swapped bytes. So `TABLE` bounds lengths and values as well, and the host must compare id
-and code (`answers`). Byte table: docs/tank/protocols.md.
+and code. Byte table: docs/tank/protocols.md.
 """
 
 import struct
@@ -18,7 +18,7 @@ from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.servo_counts import MOST_OFFSET, MOST_TIME, SPAN, VOLTAGE
 from fishmj.mjcf.servo_buses import BUSES
 
-BAUD, MOST_ID = BUSES["lx"].baud, BUSES["lx"].most_id
+MOST_ID = BUSES["lx"].most_id
 HEADER = b"\x55\x55"
 BROADCAST = 254
 MOST_BYTES = 10  # of a frame
@@ -143,8 +143,7 @@ def encode(servo: int, code: Code, *values: int) -> bytes:
     Args:
         servo: 0 to 253, 254 for all of them. values: as in `TABLE`, in counts, ms, mV, deg C (`servo_counts`).
 
-    Raises:
-        ProtocolError: another number of values, or one out of its range.
+    Raises ProtocolError: another number of values, or one out of its range.
     """
     return _encoded(servo, code, values, False, BROADCAST)
 
@@ -171,11 +170,6 @@ def decode(data: bytes) -> LxFrame:
     values = form.unpack(data[5:-1])
     _check(data[2], code, values, reply, MOST_ID if reply else BROADCAST)
     return LxFrame(data[2], code, values, reply)
-
-
-def answers(frame: LxFrame, servo: int, code: Code) -> bool:
-    """Returns True if a frame is the answer of `servo` to the question `code`; any servo answers a broadcast question."""
-    return frame.reply and frame.code is code and servo in (frame.servo, BROADCAST)
 
 
 class LxFrameReader(FrameReader[LxFrame]):

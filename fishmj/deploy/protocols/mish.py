@@ -26,7 +26,6 @@ FIRMWARES: tuple[Firmware, ...] = ("mish-0.1.0", "fixed")
 UPLINK, DOWNLINK = struct.Struct("<3i3f3f3i"), struct.Struct("<6f")
 JOINTS = 3
 ROBOT_PORT, HOST_PORT = 2333, 6060
-PERIOD = 0.02  # s between two datagrams of the robot
 SERVO_RANGE = 1.047  # rad, the firmware's own bound
 SLOWEST, FASTEST = 0.05, 5.23  # rad/s, the firmware's bounds of a speed that is not 0
 LACKS = (
@@ -74,8 +73,7 @@ def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmwar
     Args:
         ids: of the servos, (3,). Without servo_voltage and temperature zeros are sent, as the robot does for a silent servo.
 
-    Raises:
-        ProtocolError: other counts, or a value that is not finite or out of range. UnknownName: no such firmware.
+    Raises ProtocolError: other counts, or a value that is not finite or out of range; UnknownName: no such firmware.
     """
     it = telemetry
     volts, degrees = it.servo_voltage or (0.0,) * JOINTS, it.temperature or (0.0,) * JOINTS
@@ -89,18 +87,12 @@ def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmwar
 def decode_telemetry(data: bytes) -> Telemetry:
     """The telemetry in a datagram; values outside the layout are None.
 
-    Raises:
-        ProtocolError: for any bytes that are no telemetry; no other error occurs.
+    Raises ProtocolError: for any bytes that are no telemetry; no other error occurs.
     """
     values = UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))
     _ids(values[:3])
     degrees = _checked([float(value) for value in values[9:]], MOST_TEMPERATURE, "temperature")
     return Telemetry(_checked(values[3:6], MOST_ANGLE, "joint"), servo_voltage=_volts(values[6:9]), temperature=degrees)
-
-
-def servo_ids(data: bytes) -> tuple[int, ...]:
-    """The servo ids of a telemetry datagram, (3,). Raises ProtocolError."""
-    return _ids(UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))[:3])
 
 
 def commanded(joint: float, firmware: Firmware = "fixed") -> float:

@@ -103,8 +103,8 @@ class LxBus(ServoBus):
         if question is None or not frame.reply:
             return None
         (value,) = frame.values
-        said = {"position": value} if question == "position" else {question: value / (1000 if question == "volts" else 1)}
-        return ServoReply(frame.servo, question, **said)
+        values = {"position": value} if question == "position" else {question: value / (1000 if question == "volts" else 1)}
+        return ServoReply(frame.servo, question, **values)
 
     def move(self, goals: Mapping[int, int], milliseconds: int) -> bytes:
         """Bytes of one MOVE_TIME_WRITE for each servo."""

@@ -1,8 +1,8 @@
 """Conversion of servo counts to SI: the one place for units and offsets. `LX` is the default scale.
 
-    angle = (counts - CENTRE - zero) x 0.24 deg          0..1000 counts <-> 0..240 deg
+    angle = (counts - 500 - zero) x 0.24 deg          0..1000 counts <-> 0..240 deg
     trim  = offset x 0.24 deg                            -125..125 counts <-> -30..30 deg, kept in the servo itself
-    volts = mV / 1000                                    time in ms, temperature in deg C
+    time in ms, temperature in deg C
 
 `zero` is the position of a straight joint, counted from the middle: assembly leaves an offset, and each joint has its own.
 """
@@ -12,7 +12,7 @@ import math
 from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.mjcf.servo_buses import LX, Scale
 
-SPAN, CENTRE, RAD_PER_COUNT = LX  # counts of a whole turn range; of its middle
+SPAN, _, RAD_PER_COUNT = LX  # counts of the whole range
 MOST_OFFSET = 125  # counts, 30 deg
 MOST_TIME = 30_000  # ms, of one move
 VOLTAGE = (4500, 12_000)  # mV, bounds of a voltage limit
@@ -36,18 +36,6 @@ def counts(angle: float, zero: float = 0.0, scale: Scale = LX) -> int:
 def angle(position: int, zero: float = 0.0, scale: Scale = LX) -> float:
     """The joint angle, rad, of a position in counts; servos may report counts below 0 and above their span, too."""
     return (position - scale.centre) * scale.step - zero
-
-
-def volts(millivolts: int) -> float:
-    """Voltage in V of a value in mV."""
-    return millivolts / 1000
-
-
-def millivolts(value: float) -> int:
-    """Voltage in mV of a value in V. Raises ProtocolError if it exceeds 16 bits."""
-    if not 0.0 <= value <= 65.535:
-        raise ProtocolError(f"voltage {value} V; expected 0 to 65.535")
-    return round(value * 1000)
 
 
 def move_time(distance: float, speed: float) -> int:

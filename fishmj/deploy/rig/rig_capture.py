@@ -36,11 +36,7 @@ class Shots:
         return 1.0 / float(np.median(self._gaps)) if self._gaps else float("nan")
 
     def taken(self, count: int) -> Iterator[Frame]:
-        """`count` pictures with their stamps.
-
-        Raises:
-            ConfigError: no picture for `SILENT` s.
-        """
+        """`count` pictures with their stamps. Raises ConfigError: no picture for `SILENT` s."""
         heard = begun = self.clock.now()
         last: float | None = None
         number = 1
@@ -94,8 +90,8 @@ def main(argv: list[str]) -> int:
     size, wanted = (image.shape[1], image.shape[0]), Device(0).size
     console.say(f"{len(files)} pictures of {size[0]} x {size[1]} px in {args.out}; the camera gives {shots.rate:.1f} a second")
     if size != wanted:
-        told = f"the fish swims at {wanted[0]} x {wanted[1]} where the camera can"
-        console.warn(f"{told}; a calibration is of one size, and this camera's swims have to have {size[0]} x {size[1]}")
+        text = f"the fish swims at {wanted[0]} x {wanted[1]} where the camera can"
+        console.warn(f"{text}; a calibration is of one size, and this camera's swims have to have {size[0]} x {size[1]}")
     if args.json:
         console.emit_json({"files": files, "size": size, "rate": shots.rate})
     return console.OK if size == wanted else console.FAILED_CHECK

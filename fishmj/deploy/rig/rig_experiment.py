@@ -97,8 +97,8 @@ def main(argv: list[str], wire: Wire | None = None) -> int:
             console.say(why)  # whether the torque is off, before anybody reaches into the water
             write_trial(cut / run.name, trial)
             done[run.name] = trial
-    told = collect(args.out, done, args.robot)
-    console.say(*told, *([interrupt.again("go on")] if stop.is_set() else []))
+    result = collect(args.out, done, args.robot)
+    console.say(*result, *([interrupt.again("go on")] if stop.is_set() else []))
     if args.json:
         console.emit_json({"trials": sorted(done), "unplayed": unplayed, "torque_not_off": held, "data": cut})
     return console.FAILED_CHECK if unplayed or held else console.OK
@@ -139,8 +139,7 @@ def _played(
         ask: returns True if a person stands at the tank. stop: set by a signal while the robot swims. words: of `graceful_stop`.
         wire: as `main`.
 
-    Raises:
-        ConfigError: the robot has no watchdog and no person stands at the tank; errors of `wiring.wire`.
+    Raises ConfigError: the robot has no watchdog and no person stands at the tank; errors of `wiring.wire`.
     """
     given: Any = args
     if args.link == "loopback":

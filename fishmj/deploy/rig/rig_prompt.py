@@ -18,11 +18,7 @@ class Person:
         self.answers = answers
 
     def asked(self, question: str) -> str:
-        """One line of answer, stripped.
-
-        Raises:
-            ConfigError: no answer is available, or the answer is q.
-        """
+        """One line of answer, stripped. Raises ConfigError: no answer is available, or the answer is q."""
         console.say(question)
         line = (self.answers or sys.stdin).readline()
         if not line:
@@ -43,11 +39,7 @@ class Person:
             clock.sleep_until(clock.now() + 1.0)
 
     def number(self, what: str, low: float, high: float, empty: bool = False) -> float | None:
-        """A number of a range; asks again until it is valid. empty: Enter alone is None.
-
-        Raises:
-            ConfigError: as `asked`.
-        """
+        """A number of a range; asks again until it is valid. empty: Enter alone is None. Raises ConfigError: as `asked`."""
         while True:
             answer = self.asked(f"{what} ({low:g} to {high:g}{', Enter when done' if empty else ''}):")
             if empty and not answer:

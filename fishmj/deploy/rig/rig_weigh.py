@@ -57,10 +57,10 @@ def main(argv: list[str]) -> int:
     for table, measure in (("scales", _scales), ("balance", _balance), ("pendulum", _pendulum)):
         found = measure(robot, page.get(table, {}), args, person, partial(_keep, args.out, page, table))
         _keep(args.out, page, table, found)
-    told = summary(page, robot)
-    console.say(console.table(told), f"written: {args.out / measurements.FILE}")
+    result = summary(page, robot)
+    console.say(console.table(result), f"written: {args.out / measurements.FILE}")
     if args.json:
-        console.emit_json({"page": args.out / measurements.FILE, "found": told})
+        console.emit_json({"page": args.out / measurements.FILE, "found": result})
     return console.OK
 
 

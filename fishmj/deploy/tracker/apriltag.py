@@ -36,8 +36,7 @@ BRIGHTER = 1.1  # times the white of the tag over its black: a glint
 def code_of(family: str, number: int) -> np.ndarray:
     """Cells (n, n) of a tag with its black border, True for white, as printed.
 
-    Raises:
-        UnknownName: another family. ConfigError: a number outside the family.
+    Raises UnknownName: another family; ConfigError: a number outside the family.
     """
     if family not in FAMILIES:
         raise UnknownName("tag family", family, FAMILIES)
@@ -103,8 +102,7 @@ class AprilTagTracker:
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
         """The tag in a frame (H, W, 3) uint8 BGR stamped t [s]; None if it is not visible, or if there are two.
 
-        Raises:
-            ConfigError: an image of another size than the calibration's.
+        Raises ConfigError: an image of another size than the calibration's.
         """
         same_size(image, self.calibration)
         stamp = t - self.calibration.lag

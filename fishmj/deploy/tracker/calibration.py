@@ -153,8 +153,7 @@ class Calibration:
     def read(cls, path: str | Path) -> "Calibration":
         """Reads a TOML file of `write` or of a person.
 
-        Raises:
-            ConfigError: not readable, incomplete or impossible. UnknownName: an unknown key.
+        Raises ConfigError: not readable, incomplete or impossible; UnknownName: an unknown key.
         """
         table, where = read_toml(path), shown_path(path)
         if table.get("schema") != SCHEMA:
@@ -238,9 +237,8 @@ def homography_from_marks(
         marks: in the tank frame, x and y as seen from above a right-handed pair. size, matrix, distortion: of the lens.
         camera: (3,) m, foot and height if measured by a ruler; None takes them from the homography.
 
-    Raises:
-        ConfigError: fewer than four marks, three of four in a line, a mark twice or outside of the picture, marks that mirror
-            the tank, that no camera with this lens can see like this, or in another unit than m.
+    Raises ConfigError: fewer than four marks, three of four in a line, a mark twice or outside of the picture, marks that mirror
+    the tank, that no camera with this lens can see like this, or in another unit than m.
     """
     cv2 = opencv("the camera tracker")
     if len(marks) < 4:

@@ -118,8 +118,7 @@ class ColourTracker:
     def locate(self, image: np.ndarray, t: float) -> Fix | None:
         """The fish in a frame (H, W, 3) uint8 BGR stamped t [s]; None if it is not visible, or if there are two candidates.
 
-        Raises:
-            ConfigError: an image of another size than the calibration's.
+        Raises ConfigError: an image of another size than the calibration's.
         """
         same_size(image, self.calibration)
         stamp = t - self.calibration.lag

@@ -41,8 +41,7 @@ class Intrinsics(NamedTuple):
 def calibrate_intrinsics(images: Sequence[np.ndarray], board: Board) -> Intrinsics:
     """Fits the lens to pictures (H, W) or (H, W, 3) uint8 of a board held at different angles and places.
 
-    Raises:
-        ConfigError: pictures of different sizes; the board in fewer than five of them; all from one angle; an impossible lens.
+    Raises ConfigError: pictures of different sizes; the board in fewer than five of them; all from one angle; an impossible lens.
     """
     cv2 = opencv("the camera calibration")
     if board.columns < 3 or board.rows < 3 or board.square <= 0 or not 0 <= board.marker < board.square:

@@ -130,9 +130,9 @@ def drawn(frame: np.ndarray, fix: Fix | None, tracker: Tracker) -> np.ndarray:
         ahead = AXIS * np.array([np.cos(fix.yaw), np.sin(fix.yaw)])
         tail, head = calibration.to_pixel(fix.pose[:2] + np.array([[0.0, 0.0], ahead]), getattr(tracker, "height", 0.0))
         cv2.arrowedLine(image, tuple(int(v) for v in tail), tuple(int(v) for v in head), colour, 2, cv2.LINE_AA, tipLength=0.25)
-    told = f"t {fix.t:7.2f} s   x {fix.x:+.3f} m   y {fix.y:+.3f} m   yaw {np.degrees(fix.yaw):+6.1f} deg"
-    told += f"   quality {fix.quality:.2f}"
-    cv2.putText(image, told, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.6, TEXT, 1, cv2.LINE_AA)
+    text = f"t {fix.t:7.2f} s   x {fix.x:+.3f} m   y {fix.y:+.3f} m   yaw {np.degrees(fix.yaw):+6.1f} deg"
+    text += f"   quality {fix.quality:.2f}"
+    cv2.putText(image, text, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.6, TEXT, 1, cv2.LINE_AA)
     return image
 
 

@@ -69,7 +69,7 @@ def stream_direction(waters: Mapping[float, TankWater]) -> float:
 def condition_of(place: Place, water: TankWater | None) -> dict[str, Any]:
     """Meta data of a trial on its condition and its water."""
     spec = place.spec
-    told: dict[str, Any] = {
+    about: dict[str, Any] = {
         "condition": {"speed": spec.speed, "los_deg": round(float(np.degrees(spec.los)), 3), "repeat": spec.repeat},
         "seed": int(spec.seed[0]),
         "excitation": "station holding",
@@ -77,9 +77,9 @@ def condition_of(place: Place, water: TankWater | None) -> dict[str, Any]:
         "source": "fishmj deploy trials",
     }
     if water is not None:
-        told["pump"] = {"setting": water.pump, "intensity": water.intensity}
-        told["pump"] |= {} if water.length is None else {"length": water.length}
-    return told
+        about["pump"] = {"setting": water.pump, "intensity": water.intensity}
+        about["pump"] |= {} if water.length is None else {"length": water.length}
+    return about
 
 
 class Session:
@@ -88,8 +88,7 @@ class Session:
     Args:
         folder: of the session. what: policy, robot, seconds, seed, which must not change within a session.
 
-    Raises:
-        ConfigError: the folder belongs to a session with other settings; names it.
+    Raises ConfigError: the folder belongs to a session with other settings; names it.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any]):
@@ -159,8 +158,7 @@ def counts(outcome: SwimOutcome) -> bool:
 def cut(trial: Trial, name: str, seconds: float) -> Trial:
     """A host's log on a clock that begins with the policy's control, up to `seconds`.
 
-    Raises:
-        ConfigError: the policy never steered.
+    Raises ConfigError: the policy never steered.
     """
     cmd = trial.tables.get("cmd", {})
     steered = cmd["state"] == int(SwimState.SWIMMING) if "state" in cmd else np.zeros(0, bool)
@@ -178,6 +176,6 @@ def cut(trial: Trial, name: str, seconds: float) -> Trial:
             tables[table] = {c: v[-1:] for c, v in rows.items()} | {"t": np.zeros(1)}
         elif inside.any():
             tables[table] = {c: v[inside] for c, v in (rows | stamps).items()}
-    told = {key: value for key, value in trial.meta.items() if key != "clock"}
-    told |= {"clock": {table: trial.meta.get("clock", {}).get(table, "") for table in tables}, "swum_s": round(swum, 4)}
-    return Trial(told, tables, name=name)
+    meta = {key: value for key, value in trial.meta.items() if key != "clock"}
+    meta |= {"clock": {table: trial.meta.get("clock", {}).get(table, "") for table in tables}, "swum_s": round(swum, 4)}
+    return Trial(meta, tables, name=name)

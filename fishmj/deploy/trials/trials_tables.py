@@ -45,8 +45,7 @@ def result_of(
 ) -> Result:  # fmt: skip
     """The accepted trials as a result; missing ones are left out.
 
-    Raises:
-        ConfigError: there is none. LogError: one without poses.
+    Raises ConfigError: there is none; LogError: one without poses.
     """
     there = sorted((place for place in places if place.name in logs), key=lambda place: place.number)
     if not there:
@@ -114,8 +113,7 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
 
     Time series for pictures come from its logs, if it has them (`--log`).
 
-    Raises:
-        StoreError: no trials.csv there, or a damaged one. ConfigError: of other controllers, or of none of these trials.
+    Raises StoreError: no trials.csv there, or a damaged one; ConfigError: of other controllers, or of none of these trials.
     """
     file = folder / "trials.csv"
     try:
@@ -191,17 +189,17 @@ def condition(result: Result, notes: Sequence[str]) -> str:
 
 def lacking(result: Result, logs: Mapping[str, Trial], wanted: int) -> list[str]:
     """Missing or only measured inputs of the figures, with the reason: a clause each."""
-    told = ["pose as the camera measured it, not the true one"]
+    lines = ["pose as the camera measured it, not the true one"]
     sigma = [trial.value("sigma.x") for trial in logs.values()]
-    told[0] += "" if not any(sigma) else f" (sigma {1e3 * float(np.median([s for s in sigma if s])):.1f} mm)"
+    lines[0] += "" if not any(sigma) else f" (sigma {1e3 * float(np.median([s for s in sigma if s])):.1f} mm)"
     dark = int(np.isnan(result.power).any(1).sum())
     if dark:
-        told.append(
+        lines.append(
             f"no power in {dark} of {len(result.trials)} trials (no meter, or it paused): {', '.join(OF_THE_ROBOT)} missing"
         )
     if len(result.trials) < wanted:
-        told.append(f"{wanted - len(result.trials)} of {wanted} trials were not swum")
-    return told
+        lines.append(f"{wanted - len(result.trials)} of {wanted} trials were not swum")
+    return lines
 
 
 def written(
@@ -241,13 +239,13 @@ def written(
 
 def waters_beside(folders: Sequence[Path]) -> list[str]:
     """Condition of each folder, from its results.json."""
-    told = []
+    lines = []
     for folder in folders:
         try:
-            told.append(f"{folder.resolve().name}: {read_json(folder / 'results.json')['condition']}")
+            lines.append(f"{folder.resolve().name}: {read_json(folder / 'results.json')['condition']}")
         except (StoreError, KeyError, TypeError):
-            told.append(f"{folder.resolve().name}: its results.json does not say in what water")
-    return told
+            lines.append(f"{folder.resolve().name}: its results.json does not say in what water")
+    return lines
 
 
 def worst_replay(out: Path, result: Result, places: Sequence[Place]) -> str:

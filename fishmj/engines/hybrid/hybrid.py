@@ -56,8 +56,7 @@ class HybridOptions:
         patience: wall-clock s for a segment; a later one is dropped. side_by_side: tanks at a time.
         wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
 
-    Raises:
-        ConfigError: invalid times.
+    Raises ConfigError: invalid times.
     """
 
     first: float = setting(10.0, number(0, 600), "s before the first segment")
@@ -214,9 +213,9 @@ class Hybrid:
         """Report: options, segments by time, factors and stream with their standard deviations, and the reason of the end."""
         o, state = self.options, self.states[fish] if self.states else online_correction.fresh()
         covered = len(self.rows[fish]) * (o.lead + o.span) if self.rows else 0.0
-        told = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
+        base = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
         share = covered / max((self._last + 1) * self.size, self.size)
-        return {**told, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
+        return {**base, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
 
     # ---- the record ----
 

@@ -55,8 +55,7 @@ class Oracle(Protocol):
     def swim(self, segments: Sequence[HybridSegment]) -> list["FreeSwim | str"]:
         """Swims of the fish of each segment in its span there, or the reason for an early end.
 
-        Raises:
-            FishmjError, ArithmeticError, RuntimeError: this water does not work at all.
+        Raises FishmjError, ArithmeticError, RuntimeError: this water does not work at all.
         """
 
 

@@ -21,8 +21,7 @@ PATIENCE = 5.0  # s that a process has to end
 def scaled(devices: Sequence[str], quick: bool = False) -> BenchmarkWork:
     """Fish at rest in tanks on each of these devices at the same time, steps of all tanks added up.
 
-    Raises:
-        RuntimeError: a process failed to make its tanks; with its traceback.
+    Raises RuntimeError: a process failed to make its tanks; with its traceback.
     """
     side = _Side(devices, quick)
     each = TANKS if devices[0].startswith("cuda") else TANKS_CPU
@@ -47,10 +46,10 @@ class _Side:
 
     def _heard(self) -> list[float]:
         """Answers of all processes. Raises RuntimeError with the traceback of one that failed."""
-        said: list[Any] = [pipe.recv() for pipe in self.pipes]
-        if wrong := [text for text in said if isinstance(text, str)]:
+        answers: list[Any] = [pipe.recv() for pipe in self.pipes]
+        if wrong := [text for text in answers if isinstance(text, str)]:
             raise RuntimeError(wrong[0])
-        return said
+        return answers
 
 
 def _end(begun: list) -> None:
@@ -81,11 +80,7 @@ def _tanks(pipe, device: str, share: tuple[int, int], quick: bool) -> None:
 
 
 def gpus(count: int) -> tuple[str, ...]:
-    """The first so many GPUs.
-
-    Raises:
-        NotHere: there are fewer.
-    """
+    """The first so many GPUs. Raises NotHere: there are fewer."""
     from fishmj.lbm_oracle.fluid.device import devices_of
 
     try:

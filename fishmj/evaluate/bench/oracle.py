@@ -44,21 +44,24 @@ def copied_bytes(quick: bool) -> BenchmarkWork:
 
 
 def _updates(quick: bool, **options) -> BenchmarkWork:
-    import warp as wp
-
     from fishmj.lbm_oracle.fluid.fluid import Fluid
     from fishmj.lbm_oracle.fluid.lattice import Lattice
 
     device, shape = _paper(quick)
     water = Fluid(Lattice(dx=0.02, dt=0.004, nu=2e-5), shape, device, **options)  # at water's own tau WALE must be on
-    steps = 400 if device.is_cuda else 2 if quick else 6
+    return _stepped(water, 400 if device.is_cuda else 2 if quick else 6, device, water.cells / MEGA)
+
+
+def _stepped(water, steps: int, device, unit: float) -> BenchmarkWork:
+    """Steps of the water, once before the clock starts; `unit` of work each."""
+    import warp as wp
 
     def run():
         water.run(steps)
         wp.synchronize_device(device)
 
     run()
-    return BenchmarkWork(run, steps * water.cells / MEGA, f"{device}, {water.threads} slabs")
+    return BenchmarkWork(run, steps * unit, f"{device}, {water.threads} slabs")
 
 
 @benchmark("oracle_fluid", "MLUPS", baseline=copied_bytes)
@@ -101,25 +104,15 @@ def _place(quick: bool):
 
 def _emptied(domain, device, steps: int, unit: float = 1.0) -> BenchmarkWork:
     """Steps of the same water, all its levels, without a fish; `unit` of work each."""
-    import warp as wp
-
     from fishmj.lbm_oracle.run.setup import SwimSetup
 
-    water = SwimSetup(domain=domain, device=str(device)).coupled().fluid
-
-    def run():
-        water.run(steps)
-        wp.synchronize_device(device)
-
-    run()
-    return BenchmarkWork(run, steps * unit, f"{device}, {water.threads} slabs")
+    return _stepped(SwimSetup(domain=domain, device=str(device)).coupled().fluid, steps, device, unit)
 
 
 def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> BenchmarkWork:
     """Fish at rest in still water with their servos on, each at its own pace like trials; `unit` of work for each step of one.
 
-    Raises:
-        SimDiverged: a tank stopped; its steps would have been counted without having been done.
+    Raises SimDiverged: a tank stopped; its steps would have been counted without having been done.
     """
     import numpy as np
     import warp as wp
@@ -259,8 +252,7 @@ PEER_WAIT = 300.0  # s; it compiles when it starts
 def peer_interpreter() -> Path:
     """Python of the environment that holds XLB: `FISHMJ_XLB_PYTHON`, or `xlb` in the cache folder.
 
-    Raises:
-        NotHere: there is none; the message has the command that makes it.
+    Raises NotHere: there is none; the message has the command that makes it.
     """
     chosen = os.environ.get("FISHMJ_XLB_PYTHON")
     home = cache_folder() / "xlb"
@@ -274,8 +266,7 @@ def peer_interpreter() -> Path:
 def xlb(quick: bool) -> BenchmarkWork:
     """XLB's periodic step on the same box, on the CPU.
 
-    Raises:
-        NotHere: it is not installed, or does not start; the message has its last output.
+    Raises NotHere: it is not installed, or does not start; the message has its last output.
     """
     steps = PEER_QUICK if quick else PEER_STEPS
     command = [str(peer_interpreter()), str(Path(__file__).with_name("peer_xlb.py")), *map(str, PEER_SHAPE)]

@@ -70,16 +70,16 @@ def main(argv: list[str]) -> int:
     trains = TRAINED if setup.trained is None else TRAINED[:1]
     agree(setup, sum(part.seconds for name, part in parts if name not in trains))
     kept = {name: ExperimentRows(args.out, name, identity_of(setup)) for name in MODULES}
-    told = [condition(setup), *getattr(setup.brain, "notes", ())]
-    console.say(f"water: {told[0]}")
-    for note in told[1:]:
+    notes = [condition(setup), *getattr(setup.brain, "notes", ())]
+    console.say(f"water: {notes[0]}")
+    for note in notes[1:]:
         console.warn(note)
     with interrupt.keeping(lambda: f"{args.out} holds {sum(len(k.rows) for k in kept.values())} parts; {interrupt.again()}"):
         run_parts(setup, parts, kept)
         finished = [done for name in MODULES if (done := finish(setup, experiment_of(name), kept[name], name in names))]
-        found = {"policy": setup.leader, "condition": told, "experiments": report.as_json(finished)}
+        found = {"policy": setup.leader, "condition": notes, "experiments": report.as_json(finished)}
         store.write_json(args.out / "experiments.json", console.plain(found))
-        store.write_text(args.out / "report.html", report.page(finished, setup.leader, told))
+        store.write_text(args.out / "report.html", report.page(finished, setup.leader, notes))
     for one in finished:
         if one.experiment.name in names:
             console.say("", f"{one.experiment.name}: {one.experiment.about}", console.table(report.rows_of(one)))

@@ -4,18 +4,8 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.figures import BLUE, VERMILION, canvas, png, style
-from fishmj.evaluate.experiments.paper_experiment import (
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    series_row,
-)
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, series_row
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.plots import FAINT, INK, STYLE
 
 SIDES = {"downstream": 225, "upstream": 45}  # line of sight, deg: right rear, left front

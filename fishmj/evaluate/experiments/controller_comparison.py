@@ -10,6 +10,7 @@ from fishmj.base.figures import canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
 from fishmj.evaluate import metrics
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, rounded, series_row
 from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentFindings,
     ExperimentPart,
@@ -17,12 +18,6 @@ from fishmj.evaluate.experiments.paper_experiment import (
     PaperExperiment,
     PaperFinding,
     Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    rounded,
-    series_row,
 )
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, LOGARITHMIC, RADAR, STYLE, plain_ticks, polar, radar_figure
@@ -164,8 +159,8 @@ def gap_closed(rows: dict[str, Row], key: str) -> PaperFinding:
     share = lambda rival, ours, bound: (rival - ours) / (rival - bound)
     means, drawn_means = [x.mean() for x in three], [metrics.resampled(x).mean(-1) for x in three]
     if np.quantile(drawn_means[0] - drawn_means[2], 0.025) <= 0:
-        said = f"{means[0]:.3f} and {means[2]:.3f} m, {leader} {means[1]:.3f} m"
-        return PaperFinding(what, "", f"no gap within the scatter: {said}", n=n)
+        message = f"{means[0]:.3f} and {means[2]:.3f} m, {leader} {means[1]:.3f} m"
+        return PaperFinding(what, "", f"no gap within the scatter: {message}", n=n)
     low, high = np.quantile(share(*drawn_means), [0.025, 0.975])
     return PaperFinding(what, "", f"{share(*means):.2f} ({low:.2f} {high:.2f})", float(share(*means)), float(low), float(high), n)
 
@@ -195,19 +190,27 @@ def tested(rows: dict[str, Row]) -> dict[str, list[dict[str, Any]]]:
     return tables
 
 
+def panels(rows: dict[str, Row], wide: float, high: float):
+    """Figure `wide` inches wide with a panel, `high` inches high, for each controller; and (axis, row, colour) of each panel."""
+    lines = -(-len(rows) // 4)
+    figure, axes = canvas(lines, 4, (wide, high * lines), sharex=True, sharey=True)
+    for axis in axes.ravel()[len(rows) :]:
+        axis.set_axis_off()
+    for axis, name in zip(axes.ravel(), rows, strict=False):
+        axis.set(title=drawn(name))
+    return figure, zip(axes.ravel(), rows.values(), COLOURS * 3, strict=False)
+
+
 @style(STYLE)
 def curves(rows: dict[str, Row]) -> bytes:
     """Distance over time, one panel for each controller."""
-    wide = 4
-    figure, axes = canvas(-(-len(rows) // wide), wide, (14, 2.6 * -(-len(rows) // wide)), sharex=True, sharey=True)
-    for axis in axes.ravel()[len(rows) :]:
-        axis.set_axis_off()
-    for axis, (name, row), colour in zip(axes.ravel(), rows.items(), COLOURS * 3, strict=False):
+    figure, each = panels(rows, 14, 2.6)
+    for axis, row, colour in each:
         t, distance = read(row["t"]), read(row["distance"])
         axis.plot(t, distance.T, color=colour, linewidth=0.4, alpha=0.4)
         axis.plot(t, np.median(distance, 0), color=colour, linewidth=2.2)
         axis.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
-        axis.set(title=drawn(name), ylim=(0, 2.5))
+        axis.set(ylim=(0, 2.5))
     figure.supxlabel("time [s]")
     figure.supylabel("distance [m]")
     return png(figure)
@@ -216,15 +219,12 @@ def curves(rows: dict[str, Row]) -> bytes:
 @style(STYLE)
 def tracks(rows: dict[str, Row]) -> bytes:
     """Tracks to the target, one panel for each controller."""
-    wide = 4
-    figure, axes = canvas(-(-len(rows) // wide), wide, (12, 3.2 * -(-len(rows) // wide)), sharex=True, sharey=True)
-    for axis in axes.ravel()[len(rows) :]:
-        axis.set_axis_off()
-    for axis, (name, row), colour in zip(axes.ravel(), rows.items(), COLOURS * 3, strict=False):
+    figure, each = panels(rows, 12, 3.2)
+    for axis, row, colour in each:
         for side, upstream in row["tracks"]:
             axis.plot(-read(side), read(upstream), color=colour, linewidth=1)
         axis.plot(0, 0, "+", color=INK, markersize=10)
-        axis.set(title=drawn(name), xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
+        axis.set(xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
     figure.supxlabel("right of the target, facing upstream [m]")
     figure.supylabel("upstream of it [m]")
     return png(figure)

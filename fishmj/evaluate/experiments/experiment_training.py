@@ -42,8 +42,7 @@ def train_stages(setup: ExperimentSetup, name: str, settings: Settings, stages: 
     Returns:
         folder of the run, policy files of the stages.
 
-    Raises:
-        SystemExit: the training was interrupted; the same command continues it.
+    Raises SystemExit: the training was interrupted; the same command continues it.
     """
     from fishmj.train.training_run import TrainingRun, learner_of
 

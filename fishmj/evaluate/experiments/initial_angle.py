@@ -7,18 +7,8 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
-from fishmj.evaluate.experiments.paper_experiment import (
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    series_row,
-)
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, series_row
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.plots import COLOURS, FAINT, INK, STYLE
 from fishmj.evaluate.protocol import ANGLE, Trials
 from fishmj.mjcf.description import Robot

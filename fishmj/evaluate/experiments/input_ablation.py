@@ -24,6 +24,7 @@ from fishmj.control import Controller
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import is_policy
 from fishmj.evaluate import metrics
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, rounded
 from fishmj.evaluate.experiments.experiment_training import in_other_water, returns, settings_of, sim_seconds, train_stages
 from fishmj.evaluate.experiments.paper_experiment import (
     Done,
@@ -32,11 +33,6 @@ from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentSetup,
     PaperExperiment,
     Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    rounded,
 )
 from fishmj.evaluate.plots import COLOURS, STYLE
 from fishmj.tasks.station_hold import spans, visible
@@ -79,8 +75,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
 def found_policies(setup: ExperimentSetup, folder: Path, name: str) -> list[tuple[Path, LearnedController, str]]:
     """Policies of a variant in a folder: place, controller and water of the training.
 
-    Raises:
-        ConfigError: there is none, or one that was trained with other inputs.
+    Raises ConfigError: there is none, or one that was trained with other inputs.
     """
     slug = name.replace(" ", "-")
     paths = [path for path in sorted(folder.glob(f"{slug}*")) if path.stem == slug or path.stem.startswith(f"{slug}-")]

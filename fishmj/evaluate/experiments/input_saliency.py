@@ -14,16 +14,8 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.figures import BLUE, VERMILION, canvas, png, style
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
-from fishmj.evaluate.experiments.paper_experiment import (
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    read,
-    rounded,
-)
+from fishmj.evaluate.experiments.experiment_figures import compared, read, rounded
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import STYLE
 from fishmj.tasks.station_hold import spans
@@ -68,11 +60,7 @@ def rank_correlation(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
-    """Two directions at three speeds.
-
-    Raises:
-        ConfigError: a controller that is not a policy of `fishmj.control.policy`.
-    """
+    """Two directions at three speeds. Raises ConfigError: a controller that is not a policy of `fishmj.control.policy`."""
     brain = setup.brain
     if not isinstance(brain, LearnedController):
         raise ConfigError(f"experiment saliency: {brain.name} is no policy file, so it has no derivatives; take a trained policy")

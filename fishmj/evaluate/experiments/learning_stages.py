@@ -7,6 +7,7 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
 from fishmj.evaluate.experiments.approach_target import SIDES
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, series_row
 from fishmj.evaluate.experiments.experiment_training import learning_curve, settings_of, sim_seconds, train_stages
 from fishmj.evaluate.experiments.paper_experiment import (
     Done,
@@ -15,11 +16,6 @@ from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentSetup,
     PaperExperiment,
     Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    series_row,
 )
 from fishmj.evaluate.plots import COLOURS, INK, STYLE
 from fishmj.train.settings import Settings
@@ -56,13 +52,13 @@ def trained(setup: ExperimentSetup, settings: Settings, done: Done) -> Row:
 
 def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings:
     """Arrival and distance at each stage, over all runs."""
-    said = {"S1": "overshoots, or does not approach", "S2": "reaches and keeps the target", "S3": "agile, highly stable"}
+    verdicts = {"S1": "overshoots, or does not approach", "S2": "reaches and keeps the target", "S3": "agile, highly stable"}
     found, first = [], next(iter(rows.values()))
     for stage in first["stages"]:
         each = [row["stages"][stage]["figures"] for row in rows.values()]
-        found.append(counted(f"arrival, {stage}", said[stage], np.concatenate([read(one["arrival"]) for one in each])))
+        found.append(counted(f"arrival, {stage}", verdicts[stage], np.concatenate([read(one["arrival"]) for one in each])))
         last = np.concatenate([read(one["rmse_last20"]) for one in each])
-        found.append(compared(f"RMSE of the last 20 s, {stage}", said[stage], last, "m"))
+        found.append(compared(f"RMSE of the last 20 s, {stage}", verdicts[stage], last, "m"))
     table = [
         {"stage": stage, "target": side} | actions([row["stages"][stage] for row in rows.values()], los)
         for stage in first["stages"]

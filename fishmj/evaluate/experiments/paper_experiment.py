@@ -1,17 +1,15 @@
 """Common interface of the paper's experiments, and the setting in which they run."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from fishmj import control, engines
 from fishmj.control import Controller
-from fishmj.evaluate import metrics, protocol
-from fishmj.evaluate.metrics import Result, figures
+from fishmj.evaluate import protocol
+from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.run_trials import judge_in_solver, run
 from fishmj.lbm_oracle.run.solver_water import SolverWater
@@ -19,7 +17,6 @@ from fishmj.mjcf.description import Robot
 
 Row = dict[str, Any]  # what one part found, in JSON's own types
 Done = Callable[[float], None]  # takes the simulated seconds that are done
-EVERY = 0.2  # s between two kept samples of a time series
 
 
 class ExperimentPart(NamedTuple):
@@ -119,64 +116,3 @@ class ExperimentSetup:
     def part(self, key: str, brain: "Controller | str", trials: Trials, row: Callable[[Result], Row]) -> ExperimentPart:
         """Part that judges one controller over trials and keeps `row` of its result."""
         return ExperimentPart(key, trials.duration * len(trials), lambda done: row(self.judge(brain, trials, done)))
-
-
-def figures_row(result: Result) -> Row:
-    """Figures of every trial by key, and the trials' conditions."""
-    found = {key: rounded(values, 6) for key, values in figures(result).items()}
-    degrees = [round(float(np.degrees(t.los))) for t in result.trials.items]
-    left = int(np.sum(result.left < len(result.t)))
-    return {"figures": found, "speed": rounded(result.trials.speed, 3), "los": degrees, "left": left}
-
-
-def series_row(result: Result, until: float = np.inf) -> Row:
-    """Time series of every trial seen from its target: t (T,) s; upstream, side (to the left), distance m, heading deg (n, T).
-
-    The heading is measured from upstream, not wrapped. A trial that left the domain has no values from then on.
-    """
-    step = round(EVERY / result.robot.timing.bus_dt)
-    ticks = np.arange(0, np.sum(result.t <= until + 1e-9), step)
-    away = result.pose[:, ticks, :2] - result.trials.targets(result.t[ticks])
-    c, s = np.cos(result.trials.upstream), np.sin(result.trials.upstream)
-    rows = {
-        "upstream": c * away[..., 0] + s * away[..., 1],
-        "side": c * away[..., 1] - s * away[..., 0],
-        "heading": np.degrees(result.pose[:, ticks, 2] - result.trials.upstream),
-        "distance": np.linalg.norm(away, axis=-1),
-    }
-    inside = ticks < result.left[:, None]
-    digits = {"heading": 1}
-    return {"t": rounded(result.t[ticks], 2)} | {
-        k: rounded(np.where(inside, x, np.nan), digits.get(k, 3)) for k, x in rows.items()
-    }
-
-
-def rounded(values: Any, digits: int) -> Any:
-    """Rounded numbers as lists; None for NaN."""
-    if np.ndim(values):
-        return [rounded(x, digits) for x in values]
-    return round(float(values), digits) if np.isfinite(values) else None
-
-
-def read(values: Any) -> np.ndarray:
-    """Inverse of `rounded`: an array with NaN for None."""
-    return np.array(values, float)
-
-
-def compared(what: str, paper: str, values: Any, unit: str = "", *, digits: int = 3, median: bool = False) -> PaperFinding:
-    """Finding from the figures of single trials: mean, or median, with its interval."""
-    found = metrics.estimate("approach_time" if median else "", read(values).ravel())
-    text = f"{found.value:.{digits}f}" if found.n else "none"
-    if not found.why:
-        text += f" ({found.low:.{digits}f} {found.high:.{digits}f})"
-    return PaperFinding(what, paper, f"{text} {unit}".strip(), *found[:4])
-
-
-def counted(what: str, paper: str, flags: Sequence[Any] | np.ndarray) -> PaperFinding:
-    """Finding of the number of trials for which a flag holds, with Wilson's interval of the share."""
-    from scipy.stats import binomtest
-
-    some = read(flags).ravel()
-    hits, n = int(np.nansum(some)), len(some)
-    low, high = binomtest(hits, n).proportion_ci(method="wilson") if n else (np.nan, np.nan)
-    return PaperFinding(what, paper, f"{hits} of {n}", hits / max(n, 1), float(low), float(high), n)

@@ -7,18 +7,8 @@ from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.evaluate import metrics
-from fishmj.evaluate.experiments.paper_experiment import (
-    EVERY,
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    figures_row,
-    read,
-    rounded,
-)
+from fishmj.evaluate.experiments.experiment_figures import EVERY, compared, figures_row, read, rounded
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import COLOURS, STYLE, eight_panel
 from fishmj.evaluate.protocol import EIGHT

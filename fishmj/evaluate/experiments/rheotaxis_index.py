@@ -7,16 +7,8 @@ from fishmj.base.figures import GREY, ORANGE, VERMILION, canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.control.cpg import Cpg, Rates
 from fishmj.evaluate import metrics
-from fishmj.evaluate.experiments.paper_experiment import (
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    read,
-    rounded,
-)
+from fishmj.evaluate.experiments.experiment_figures import compared, read, rounded
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import FAINT, STYLE
 from fishmj.mjcf.description import Robot

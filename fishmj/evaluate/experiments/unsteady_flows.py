@@ -9,18 +9,8 @@ from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.evaluate import metrics
-from fishmj.evaluate.experiments.paper_experiment import (
-    ExperimentFindings,
-    ExperimentPart,
-    ExperimentSetup,
-    PaperExperiment,
-    Row,
-    compared,
-    counted,
-    figures_row,
-    read,
-    series_row,
-)
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, series_row
+from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import COLOURS, FAINT, STYLE, plain_ticks
 from fishmj.evaluate.protocol import Trials

@@ -187,10 +187,10 @@ class TankTrials(Trials):
 
     def flows(self) -> list[Flow]:
         """Background flow of each trial, with the faster mean."""
-        told = super().flows()
-        more = [self.faster * flow.mean[None, :2] / flow.speed for flow in told]
+        flows = super().flows()
+        more = [self.faster * flow.mean[None, :2] / flow.speed for flow in flows]
         still = np.zeros(1, int)
-        return [DrawnFlow.of(shifted(flow.current(), by, still), flow) for flow, by in zip(told, more, strict=True)]
+        return [DrawnFlow.of(shifted(flow.current(), by, still), flow) for flow, by in zip(flows, more, strict=True)]
 
 
 def trials_of(args) -> Trials:

@@ -15,11 +15,7 @@ WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while
 
 @style(STYLE)
 def picture(found: dict, path: Path, title: str) -> Path:
-    """Draws one figure's ranking.
-
-    Args:
-        found: of `rank.judged`. title: the condition, shown above.
-    """
+    """Draws one figure's ranking. found: of `rank.judged`. title: the condition, shown above."""
     figure, axes = canvas(1, 1, (6.4, 6.0))
     _draw(axes[0, 0], found)
     axes[0, 0].set_title(drawn(title), fontsize=9, fontweight="normal", loc="left", color=INK)

@@ -99,7 +99,7 @@ def pair(key: str, a: str, b: str, solver: ByController, surrogate: ByController
     four = [np.asarray(water[name], float) for water in (solver, surrogate) for name in (a, b)]
     all_four = np.isfinite(four).all(0)
     first, second = (difference(key, *(x[all_four] for x in two)) for two in (four[:2], four[2:]))
-    told = [first.apart, second.apart]
+    apart = [first.apart, second.apart]
     return {
         "a": a,
         "b": b,
@@ -107,9 +107,9 @@ def pair(key: str, a: str, b: str, solver: ByController, surrogate: ByController
         "solver": {"value": first.value, "low": first.low, "high": first.high},
         "surrogate": {"value": second.value, "low": second.low, "high": second.high},
         "why": first.why,
-        "solver_told": told[0],
-        "surrogate_told": told[1],
-        "counted": all(told),
+        "solver_told": apart[0],
+        "surrogate_told": apart[1],
+        "counted": all(apart),
         "agree": bool(first.value * second.value > 0),
     }
 

@@ -74,8 +74,7 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """Runs the missing trials, judges, prints and writes.
 
-    Raises:
-        UnknownName, ConfigError: an unknown controller, water or box, or an invalid number.
+    Raises UnknownName, ConfigError: an unknown controller, water or box, or an invalid number.
     """
     args = options().parse_args(argv)
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
@@ -140,11 +139,7 @@ def in_turn(brains, trials: protocol.Trials, waters: list, tanks: int, budget: f
 
 
 def default_model(fish: str) -> str:
-    """Fitted water of this fish, or the shipped one.
-
-    Raises:
-        ConfigError: none comes with it.
-    """
+    """Fitted water of this fish, or the shipped one. Raises ConfigError: none comes with it."""
     name, known = load_robot(fish).name, shipped()
     if not known:
         raise ConfigError("rank: no fitted water is shipped with this build; fit one: python -m fishmj.hydro_fit fit")

@@ -189,8 +189,7 @@ def refuse_solver(args) -> None:
 def agree(args, many: int, jobs: int) -> None:
     """Asks for agreement to weeks of work before a case is drawn; the flow solver has only the shipped cases.
 
-    Raises:
-        TooMuch: not agreed.
+    Raises TooMuch: not agreed.
     """
     if args.generator == "lbm":
         return

@@ -61,8 +61,7 @@ class CalibratedRobot(NamedTuple):
 def calibrate_robot(family: str, seed: int, robot: Robot) -> CalibratedRobot:
     """Calibrated model of the healthy robot of a seed, from disk or made now.
 
-    Raises:
-        LogError: the swims contain no information. SimDiverged: the robot left the finite numbers.
+    Raises LogError: the swims contain no information; SimDiverged: the robot left the finite numbers.
     """
     return read_or_calibrate(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
 
@@ -90,5 +89,5 @@ def kept_at(family: str, seed: int, robot: Robot) -> Path:
         [run.id, run.start, run.push, hashlib.sha256(run.commands.tobytes()).hexdigest()]
         for run in families.runs_of(SWIMS, robot)
     ]
-    told = json.dumps([family, seed, families.NUISANCE, swims, digest(*CODE)]) + repr(robot)
-    return cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
+    text = json.dumps([family, seed, families.NUISANCE, swims, digest(*CODE)]) + repr(robot)
+    return cache_folder() / "bench" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"

@@ -131,8 +131,7 @@ class DescribedRobot(NamedTuple):
 def describe_robot(one: BenchRobot) -> DescribedRobot:
     """The shipped fish, or the first drawn chain that swims in its family's own water.
 
-    Raises:
-        ConfigError: none of `DRAWS` chains swims.
+    Raises ConfigError: none of `DRAWS` chains swims.
     """
     rng = np.random.default_rng([one.seed, 15])
     for redraws in range(DRAWS):

@@ -65,8 +65,7 @@ def trials(
 ) -> list[Trial]:
     """One trial an experiment. seed: of the robot; first: number of the first trial, which selects its noise.
 
-    Raises:
-        SimDiverged: the robot left the finite numbers.
+    Raises SimDiverged: the robot left the finite numbers.
     """
     runs = list(enumerate(runs_of(experiments, robot)))
     if family == SECOND:

@@ -62,11 +62,7 @@ def rows_and_score(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] 
 
 
 def draw_cases(args, names: tuple[str, ...]) -> list[BenchRobot]:
-    """Robots of this machine's share, each with all of its requested cases.
-
-    Raises:
-        ConfigError: there are none.
-    """
+    """Robots of this machine's share, each with all of its requested cases. Raises ConfigError: there are none."""
     (index, shards), logs = args.shard, args.logs or (SHORT if args.small else LOGS)
     many = args.cases or (FEW if args.small else power.CASES if args.power else CASES)
     if args.power:
@@ -105,11 +101,7 @@ def _print_result(result: dict, lines: list[str], args) -> None:
 
 
 def together(folders: list[Path], args) -> int:
-    """Scores the rows of several folders.
-
-    Raises:
-        ConfigError: a folder without rows, or rows of two benchmarks under one id.
-    """
+    """Scores the rows of several folders. Raises ConfigError: a folder without rows, or rows of two benchmarks under one id."""
     rows: dict[str, dict] = {}
     for folder in folders:
         mine = read_rows(folder / "rows.jsonl")

@@ -31,6 +31,11 @@ class Aim(NamedTuple):
         """Returns True if the point estimate lies in the range; None without a case."""
         return self.low <= found["value"] <= self.high if found["n"] else None
 
+    def row(self, pooled: dict) -> dict:
+        """The aim beside the number of its cases in `pooled`, and whether it is met."""
+        found = pooled[self.key]
+        return {"aim": self.key, "low": self.low, "high": self.high, "asked": self.asked, "n": found["n"], "met": self.met(found)}
+
 
 AIMS = (
     Aim("false_alarms", 0.0, 0.02, 200),
@@ -49,18 +54,7 @@ def score(rows: list[dict]) -> dict:
     """{"pooled": figures, "families": {name: figures}, "models": {"drawn", "fish"}, "aims": [..]}, figures as of `figures`."""
     apart = lambda key: {name: figures([r for r in rows if r[key] == name]) for name in sorted({r[key] for r in rows})}
     pooled = figures(rows)
-    aims = [
-        {
-            "aim": aim.key,
-            "low": aim.low,
-            "high": aim.high,
-            "asked": aim.asked,
-            "n": pooled[aim.key]["n"],
-            "met": aim.met(pooled[aim.key]),
-        }
-        for aim in AIMS
-    ]
-    return {"pooled": pooled, "families": apart("family"), "models": apart("model"), "aims": aims}
+    return {"pooled": pooled, "families": apart("family"), "models": apart("model"), "aims": [aim.row(pooled) for aim in AIMS]}
 
 
 def figures(every: list[dict]) -> dict:

@@ -76,8 +76,8 @@ def run(case: Deletion) -> dict:
 
 def verdict_row(verdict: Verdict) -> dict:
     """Entries of a row on the verdict, in the form of the other generators."""
-    told = [effect_row(effect) for effect in verdict.effects]
-    out: dict = {"answer": verdict.answer, "said": told, "rivals": [r["name"] for r in verdict.rivals]}
+    rows = [effect_row(effect) for effect in verdict.effects]
+    out: dict = {"answer": verdict.answer, "said": rows, "rivals": [r["name"] for r in verdict.rivals]}
     out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
     out |= {"gap_unseen_before": verdict.gap_before, "explained": verdict.explained, "gates": verdict.gates}
     return out | {"reason": verdict.reason, "warnings": list(verdict.warnings)}

@@ -54,8 +54,7 @@ def robots(many: int, seed: int, able: tuple[str, ...], effects: tuple[str, ...]
 def effect_at_strength(family: str, case: BenchCase, robot: Robot) -> tuple[dict, float]:
     """The effect of a case at its strength: (values, reached strength). The nearest if none reaches it.
 
-    Raises:
-        SimDiverged: the robot does not swim at any tried size.
+    Raises SimDiverged: the robot does not swim at any tried size.
     """
     ((name, drawn),) = case.effects.items()
     spec = {p.name: p for p in catalogue.get(name).parameters}
@@ -119,11 +118,11 @@ def score(rows: list[dict]) -> dict:
     by_times = {}
     for times in TIMES:
         mine = [r for r in singles if r["times"] == times]
-        told = counted(mine)
+        counts = counted(mine)
         by_times[f"{times:g}"] = {
-            "named": share(told["named"], len(mine)),
-            "named_or_class": share(told["named"] + told["class"], len(mine)),
-            "agrees": share(told["agrees"], len(mine)),
+            "named": share(counts["named"], len(mine)),
+            "named_or_class": share(counts["named"] + counts["class"], len(mine)),
+            "agrees": share(counts["agrees"], len(mine)),
         }
     large = [r for r in singles if r["times"] >= LARGE]
     none = [r for r in rows if r["kind"] == "none" and r["answer"] != "DIVERGED"]

@@ -79,24 +79,24 @@ def make_set(folder: Path, case: RobotCase) -> dict:
     begin = time.process_time()
     row = facts(case)
     try:
-        told = robot_session.draw_session(case.generator, case.family, case.effects, case.seed, LOGS, SECONDS)
+        session = robot_session.draw_session(case.generator, case.family, case.effects, case.seed, LOGS, SECONDS)
     except FloatingPointError as error:
         return row | {"family": case.family, "answer": "DIVERGED", "reason": str(error)}
     place = folder / case.id
     (place / "logs").mkdir(parents=True, exist_ok=True)
-    write_text(place / "robot.xml", mjcf(told.plan))
-    for i, log in enumerate(told.logs):
+    write_text(place / "robot.xml", mjcf(session.plan))
+    for i, log in enumerate(session.logs):
         columns = {"command": log.commands, "position": log.readings}
-        if told.plan.rotors:
+        if session.plan.rotors:
             columns = {f"cmd_{rotor(k)}": u for k, u in enumerate(log.commands.T)} | dict(zip(POSE, log.readings.T, strict=True))
         write_npz(place / "logs" / f"log{i + 1}.npz", {"t": log.t} | {k: v.astype(np.float32) for k, v in columns.items()})
     row |= {
-        "family": told.plan.family,
-        "joints": 0 if told.plan.rotors else len(told.plan.limbs),
-        "torques": told.plan.torques,
-        "servo": told.servo,
+        "family": session.plan.family,
+        "joints": 0 if session.plan.rotors else len(session.plan.limbs),
+        "torques": session.plan.torques,
+        "servo": session.servo,
     }
-    row |= {"truth": told.hidden, "visible": told.visible, "stand": told.stand._asdict()}
+    row |= {"truth": session.hidden, "visible": session.visible, "stand": session.stand._asdict()}
     return row | {"data_cpu_seconds": time.process_time() - begin}
 
 

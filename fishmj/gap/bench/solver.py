@@ -54,9 +54,8 @@ def plant():
 def draw(where: Path | None = None) -> list[SolverCase]:
     """Every data set as a case, with all of its experiments.
 
-    Raises:
-        StoreError: the planted sets are not here, as in an installed package; a data set without its truth, or a truth without a
-            set.
+    Raises StoreError: the planted sets are not here, as in an installed package; a data set without its truth, or a truth without
+    a set.
     """
     where = where or folder()
     if not (where / "planted").is_dir():

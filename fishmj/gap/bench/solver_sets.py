@@ -37,8 +37,7 @@ SHIPPED = "fish"
 def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
     """Robots with their cases of these kinds, at most `many` in sum, for which data sets exist.
 
-    Raises:
-        ConfigError: there are none. StoreError: the folder was not made by `gap.bench.solver_family`.
+    Raises ConfigError: there are none; StoreError: the folder was not made by `gap.bench.solver_family`.
     """
     plan, known = plans.read(folder), read_json(folder / TRUTH)["cases"]
     out: list[BenchRobot] = []
@@ -84,15 +83,14 @@ def _rows(one: RobotQuery, folder: Path) -> Iterator[dict]:
 def questioned_model(one: RobotQuery, known: Robot, free: list[Trial]) -> tuple[object, dict | None, HealthySwims | None]:
     """(questioned model, its speed error on swims left out of its calibration, result of these swims).
 
-    Raises:
-        LogError: the free swims contain no information.
+    Raises LogError: the free swims contain no information.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
     believed, error, own = known, None, None
     if one.calibrate:
-        told = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
-        path = cache_folder() / "bench" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.json"
+        text = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
+        path = cache_folder() / "bench" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"
         believed, error = calibrated.read_or_calibrate(path, plans.SOLVER, known, lambda: free)
     model = SwimmingFish(believed)
     _ = model.kernel

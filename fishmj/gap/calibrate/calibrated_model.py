@@ -41,8 +41,7 @@ def write(
     Args:
         effects: {"coulomb_friction.torque": estimate}; an existing one is replaced. data: folder of the logs.
 
-    Raises:
-        ConfigError: the file would not be a valid fish.
+    Raises ConfigError: the file would not be a valid fish.
     """
     manifest = Path(data) / "manifest.json"
     source, evidence = Path(data).as_posix(), sha256(manifest) if manifest.is_file() else ""
@@ -70,8 +69,7 @@ def put(text: str, table: str, values: dict, name: str = "", *, source: str = ""
     Args:
         source: of the new numbers, for the comments beside them. new: add missing lines.
 
-    Raises:
-        ConfigError: no such table or key.
+    Raises ConfigError: no such table or key.
     """
     lines, inside, left = text.splitlines(), False, dict(values)
     block, last, heads = -1, -1, []
@@ -118,14 +116,14 @@ def _relabel(lines: list[str], head: int, names: list[str], source: str, *, whol
 
     whole: all numbers of the block were fitted.
     """
-    said = f"calibrated from {bare(source, 120)}"
+    message = f"calibrated from {bare(source, 120)}"
     for i in range(head, len(lines)):
         text, mark, comment = lines[i].partition("#")
         if i > head and (text.strip() or not mark):
             break
         if mark and GUESSED.search(comment):
             rest = "" if whole else f"; the rest {comment.rsplit('; the rest ', 1)[-1].strip()}"
-            lines[i] = f"{text}# {'' if whole else ', '.join(names) + ' '}{said}{rest}"
+            lines[i] = f"{text}# {'' if whole else ', '.join(names) + ' '}{message}{rest}"
 
 
 def _number(old: str, value: "float | list | str") -> str:

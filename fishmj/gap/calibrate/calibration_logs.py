@@ -55,8 +55,7 @@ class Logs(NamedTuple):
     def bench(self) -> list[str]:
         """Sine, square and impulse in both media, from trials with moving commands and measured joint angles.
 
-        Raises:
-            LogError: fewer than two signals, which complement each other.
+        Raises LogError: fewer than two signals, which complement each other.
         """
         names = [name for medium in MEDIA for name in self.of(medium, SIGNALS)]
         silent = {name: why for name in names if (why := unfit(self.trials[name]))}
@@ -93,8 +92,7 @@ def angles(record: Record) -> Sensor:
 def read(folder: "str | Path") -> Logs:
     """All readable trials of a data set, without rows of failed reads; the others are in `broken`.
 
-    Raises:
-        LogError, StoreError: none there.
+    Raises LogError, StoreError: none there.
     """
     found = readable_trials(Path(folder))
     return Logs(Path(folder), found.trials, found.broken, found.notes)

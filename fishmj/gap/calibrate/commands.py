@@ -57,9 +57,8 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     Args:
         only: physical checks that matter; all by default.
 
-    Raises:
-        LogError: none can be compared, another number of joints, another robot's name without agreement, or impossible
-            motion (a joint against its command, a mirrored camera).
+    Raises LogError: none can be compared, another number of joints, another robot's name without agreement, or impossible motion
+    (a joint against its command, a mirrored camera).
     """
     logs = read(args.data)
     broken = dict(logs.broken)
@@ -171,19 +170,19 @@ def run_slip(args) -> Answer:
         return recompute_slip(args)
     logs = open_logs(args, load_robot(args.model))
     grid = slip.table_name({"grid": args.grid or slip.grid_of(logs.trials.values()), "boundary": args.boundary})
-    swum = slip.measured(logs.trials.values())
-    found = slip.profile(swum, grid)
+    swims = slip.measured(logs.trials.values())
+    found = slip.profile(swims, grid)
     alone = {
         name: slip.profile({name: value}, grid).estimate._replace(name=name)
-        for name, value in swum.items()
+        for name, value in swims.items()
         if name in found.predicted
     }
-    facts = [{"metric": k, "measured": v, "trials": n} for k, (v, n) in swum.items()]
+    facts = [{"metric": k, "measured": v, "trials": n} for k, (v, n) in swims.items()]
     words = f"table of grid {grid}; J rises by {slip.RISE} at the ends of the interval"
     console.say(*source_lines(logs, words), console.table(facts), "", console.table(found.rows()), "", console.table(rows(alone)))
     console.say("", console.table(rows({"slip": found.estimate})), found.words)
     if found.doubt:
-        needs = ", ".join(name for name in (*slip.SWIMS, slip.COAST) if name not in swum) or "other swims of this robot"
+        needs = ", ".join(name for name in (*slip.SWIMS, slip.COAST) if name not in swims) or "other swims of this robot"
         raise LogError(
             f"{args.data}: slip: {found.doubt}. Nothing is written; record {needs} as well, or check the robot's masses"
         )

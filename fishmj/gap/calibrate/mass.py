@@ -36,8 +36,7 @@ class MassEstimates(NamedTuple):
 def calibrate(folder: "str | Path", robot: Robot) -> MassEstimates:
     """Reads the page and computes the masses.
 
-    Raises:
-        ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
+    Raises ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
     """
     path = Path(folder) / measurements.FILE
     if not path.is_file():

@@ -67,11 +67,11 @@ def main(argv: list[str]) -> int:
 
 def write(found: RobotFit, robot, args) -> None:
     """Writes the MJCF, its numbers and intervals in a comment. Raises LogError if it would explain the logs no better."""
-    told = [n for n in found.numbers if n.is_told]
-    if not told or not found.misfit[1] < found.misfit[0]:
-        why = "the logs tell none of the numbers" if not told else "what the logs tell alone explains them no better"
+    identified = [n for n in found.numbers if n.is_told]
+    if not identified or not found.misfit[1] < found.misfit[0]:
+        why = "the logs tell none of the numbers" if not identified else "what the logs tell alone explains them no better"
         raise LogError(f"{args.data}: {why}; nothing is written. Record motions that separate them: fishmj gap next --help")
-    rows = [f"  {title(n.name)} {number(n.value)} ({number(n.low)} to {number(n.high)}) {n.unit}" for n in told]
+    rows = [f"  {title(n.name)} {number(n.value)} ({number(n.low)} to {number(n.high)}) {n.unit}" for n in identified]
     head = f"calibrated by fishmj calibrate model, MuJoCo {mujoco.__version__}; parent {robot.path.name}; 90 % intervals:"
     origin = f"<!-- {head}\n" + "\n".join(rows).replace("--", "- -") + "\n-->\n"
     text = patched(robot, found.model, found.delay)

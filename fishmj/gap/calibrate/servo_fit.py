@@ -122,8 +122,8 @@ def unexplained(records: list[Record], after: np.ndarray) -> list[str]:
             left = float(np.sqrt(np.mean(off[: max(round(TRIMMED * len(off)), 1)] ** 2)))
             moved, noise = float(np.std(column)), float(sigma) if sigma > 0 else COUNT
             if left > max(UNEXPLAINED * moved, NOISY * noise):
-                told = f"j{j} of trial {record.name} ({np.degrees(left):.2g} deg RMS left of {np.degrees(moved):.2g},"
-                found.append((left / moved, f"{told} {left / noise:.0f} times its noise)"))
+                sentence = f"j{j} of trial {record.name} ({np.degrees(left):.2g} deg RMS left of {np.degrees(moved):.2g},"
+                found.append((left / moved, f"{sentence} {left / noise:.0f} times its noise)"))
             begin += len(column)
     return [text for _, text in sorted(found, reverse=True)]
 
@@ -197,11 +197,7 @@ class LatencyEstimates(NamedTuple):
 
 
 def calibrate_latency(logs: Logs, servo: ServoFit) -> LatencyEstimates:
-    """Both latencies from the bench and the swims.
-
-    Raises:
-        LogError: no lag was found on any trial.
-    """
+    """Both latencies from the bench and the swims. Raises LogError: no lag was found on any trial."""
     names = [*logs.bench(), *logs.of("water", SWIMS)]
     records = logs.records(servo.plant.dt, names)
     predicted = servo.plant.predict(records, servo.row)

@@ -80,8 +80,7 @@ class Profile(NamedTuple):
 def measured(trials: Iterable[Trial]) -> dict[str, tuple[float, int]]:
     """Mean over the repeats and their number: speed [m/s] of each swim, distance [m] of the coast.
 
-    Raises:
-        LogError: no swim and no coast among them is long enough.
+    Raises LogError: no swim and no coast among them is long enough.
     """
     found: dict[str, list[float]] = {}
     for trial in trials:
@@ -132,8 +131,7 @@ def least_slip(grid: str, metrics: Iterable[str]) -> float:
 def predictions(grid: str, s: np.ndarray) -> dict[str, np.ndarray]:
     """Metrics of the solver's fish on one grid at slip ratios s (S,); NaN outside its swims.
 
-    Raises:
-        UnknownName: no table of that grid.
+    Raises UnknownName: no table of that grid.
     """
     tables = {table_name(entry): entry for entry in calibration_table()["solver"]}
     if grid not in tables:

@@ -103,8 +103,7 @@ def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> 
     Args:
         trials: free swims from a generator or a log folder; equal names are numbered.
 
-    Raises:
-        LogError: too few swims or kinds of swim, or joints that do not match the robot.
+    Raises LogError: too few swims or kinds of swim, or joints that do not match the robot.
     """
     listed = list(trials)
     named = {trial.name or f"{i:03d}": trial for i, trial in enumerate(listed)}
@@ -115,11 +114,7 @@ def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> 
 
 
 def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent_bar) -> WaterFit:
-    """Fits the water to the free swims of `logs`.
-
-    Raises:
-        LogError: too few swims or kinds of swim.
-    """
+    """Fits the water to the free swims of `logs`. Raises LogError: too few swims or kinds of swim."""
     records = logs.records(plant.dt, swims(logs))
     folds, starts = folded(records), plant.starts()
     with bars(len(starts) + len(folds), "water", "fits") as bar:
@@ -142,8 +137,7 @@ def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent_bar) -> Wate
 def swims(logs: Logs) -> list[str]:
     """Trials in water with a camera, in which the fish beats its tail or was launched.
 
-    Raises:
-        LogError: too few of them, or all of one kind.
+    Raises LogError: too few of them, or all of one kind.
     """
     names = [name for name, trial in logs.trials.items() if trial.value("medium", "water") == "water" and "pose" in trial.tables]
     records = logs.records(0.02, names) if names else []

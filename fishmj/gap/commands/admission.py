@@ -66,9 +66,8 @@ def admitted(
     Args:
         agreed: accept logs of another name. anyway: accept physically impossible motion.
 
-    Raises:
-        LogError: no trial, another number of joints, another robot's name without agreement, or impossible motion (a
-            mirrored camera, a joint against its command).
+    Raises LogError: no trial, another number of joints, another robot's name without agreement, or impossible motion (a mirrored
+    camera, a joint against its command).
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
@@ -76,9 +75,9 @@ def admitted(
     for note in notes:
         console.warn(note)
     if not anyway and (wrong := unphysical(given.trials.values())):
-        told = f"{data}: {wrong}"
-        if not console.confirmed(f"{told}. Search all the same?"):
-            raise LogError(f"{told}. Search all the same with --anyway")
+        message = f"{data}: {wrong}"
+        if not console.confirmed(f"{message}. Search all the same?"):
+            raise LogError(f"{message}. Search all the same with --anyway")
     return given, notes
 
 
@@ -106,8 +105,7 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
     Args:
         model: the user's name for the robot. agreed: accept logs of another name (`--same-robot`).
 
-    Raises:
-        LogError: another number of joints, or another robot's name without agreement.
+    Raises LogError: another number of joints, or another robot's name without agreement.
     """
     said: Counter[str] = Counter()
     for trial in trials:
@@ -143,13 +141,13 @@ def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
     trial = trials_of(null.bundles[0])[0]
     name, joints = str(trial.value("robot", "") or "")[:64], joints_of(trial)
     if joints != robot.n_joints or (name and name != robot.name):
-        swum = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
+        sets = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
         mine = f"the model {model} is {robot.name!r} with {robot.n_joints}"
-        raise ConfigError(f"{swum}; {mine}. Leave --null out: runs are made anew")
+        raise ConfigError(f"{sets}; {mine}. Leave --null out: runs are made anew")
     differs = differences(load_robot(SHIPPED), robot)
     if differs:
-        swum = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
-        raise ConfigError(f"{swum}; leave --null out: runs of this model are made anew")
+        sets = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
+        raise ConfigError(f"{sets}; leave --null out: runs of this model are made anew")
 
 
 def differences(one: Robot, other: Robot) -> list[str]:
@@ -268,8 +266,7 @@ class Pair(NamedTuple):
 def admit(e: Likelihood, anyway: bool = False) -> None:
     """Lets a search go on, or raises. anyway: the user has confirmed such a gap.
 
-    Raises:
-        TooDifferent: the gap is beyond BEYOND, or beyond FAR with a recognised cause, without confirmation.
+    Raises TooDifferent: the gap is beyond BEYOND, or beyond FAR with a recognised cause, without confirmation.
     """
     gap, channels = e.over_floor(e.model.null)
     if anyway or max(gap, *channels.values()) <= FAR:

@@ -57,8 +57,7 @@ class Mistake(NamedTuple):
 def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], anyway: bool = False) -> None:
     """Warns of what looks wrong in the logs.
 
-    Raises:
-        LogError: a mistake that explains them far better, unless `anyway`; it names the remedy.
+    Raises LogError: a mistake that explains them far better, unless `anyway`; it names the remedy.
     """
     for doubt in doubts(robot, records):
         console.warn(doubt)
@@ -93,8 +92,8 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
             low, high = m.jnt_range[joint.joint]
             beyond = np.mean((q < low - MARGIN * (high - low)) | (q > high + MARGIN * (high - low)))
             if beyond > OUTSIDE:
-                told = f"{100 * beyond:.0f} % of its readings are beyond its range, {low:.3g} to {high:.3g}"
-                out.append(f"joint {joint.name}: {told}: another zero, unit or joint? State it in a map, --columns MAP.toml")
+                message = f"{100 * beyond:.0f} % of its readings are beyond its range, {low:.3g} to {high:.3g}"
+                out.append(f"joint {joint.name}: {message}: another zero, unit or joint? State it in a map, --columns MAP.toml")
         if np.ptp(q) == 0 and joint.actuator >= 0 and any(np.ptp(r.commands[:, joint.actuator]) > 0 for r in records):
             out.append(
                 f"joint {joint.name}: always {q[0]:.6g} while its commands change: is its encoder read, or is the joint held?"

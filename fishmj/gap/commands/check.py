@@ -62,8 +62,7 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
 
     agreed: accept logs of another robot's name.
 
-    Raises:
-        ConfigError: no version table, or the parent's text is gone. LogError: a record that cannot be read, another robot.
+    Raises ConfigError: no version table, or the parent's text is gone; LogError: a record that cannot be read, another robot.
     """
     from fishmj.gap.commands import reported
 
@@ -101,8 +100,7 @@ def gaps(
 ) -> list[tuple[float, dict, float]]:
     """(gap, gap by channel, residual over the floor) of each version over all trials. water: in which they swim.
 
-    Raises:
-        ConfigError: the versions differ in more than their effects. LogError: no trials, or one that cannot be compared.
+    Raises ConfigError: the versions differ in more than their effects; LogError: no trials, or one that cannot be compared.
     """
     bare = [replace(robot, effects=(), name=versions[0].name) for robot in versions]
     if any(robot != bare[0] for robot in bare):

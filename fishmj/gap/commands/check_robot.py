@@ -50,8 +50,7 @@ class Ratio(NamedTuple):
 def check_robot(args: Any) -> dict:
     """Answers the command: both gaps, by joint too, and the reason of a failure ("" without one). args: of `gap check`.
 
-    Raises:
-        ConfigError: no parent, a parent that changed, or one with other joints. LogError: no log left to judge on.
+    Raises ConfigError: no parent, a parent that changed, or one with other joints; LogError: no log left to judge on.
     """
     refuse_fish_options(args, "gap check")
     context = _searched(args.model) if args.parent is None else None
@@ -110,7 +109,7 @@ def compare(parent: RobotDescription, version: RobotDescription, records: list) 
     if gaps[1] > frozen().adequacy:
         left = f"gap {level(gaps[1])}: more is left than tolerances and noise explain (up to {level(frozen().adequacy)})"
     doubt = f"the interval of the ratio holds 1: {len(record)} segments do not tell" if ratio.low < 1.0 < ratio.high else ""
-    told = {
+    result = {
         "gap_parent": gaps[0],
         "gap": gaps[1],
         "ratio": ratio._asdict(),
@@ -119,7 +118,7 @@ def compare(parent: RobotDescription, version: RobotDescription, records: list) 
         "left": left,
         "doubt": doubt,
     }
-    return told | {"text": f"gap {level(gaps[0])} -> {level(gaps[1])}, ratio {ratio.text}"}
+    return result | {"text": f"gap {level(gaps[0])} -> {level(gaps[1])}, ratio {ratio.text}"}
 
 
 def by_segment(layout: ResidualLayout, squared: np.ndarray) -> np.ndarray:

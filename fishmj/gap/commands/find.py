@@ -118,8 +118,7 @@ def swims(args, robot: Robot) -> list[Trial]:
 def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = ()) -> Inquiry:
     """Searches the admitted trials. healthy: swims of the water's calibration.
 
-    Raises:
-        TooDifferent: model and logs are further apart than by any missing effect.
+    Raises TooDifferent: model and logs are further apart than by any missing effect.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 

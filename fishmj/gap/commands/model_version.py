@@ -84,8 +84,7 @@ def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version:
 def revert(model: Path) -> Path:
     """Restores the parent's text in place of `model`, bit for bit; the version moves to MODEL.reverted-<hash>.toml.
 
-    Raises:
-        ConfigError: a first version, or the parent's text is gone or changed.
+    Raises ConfigError: a first version, or the parent's text is gone or changed.
     """
     version = facts(model)
     if not version:

@@ -115,15 +115,11 @@ def _opened(args, null: SimulatedNull):
     found = inquiry.verdict
     if found.answer not in OPEN:
         return found.answer, model, [], inquiry.records[0]
-    return found.answer, model, normalise_weights(hypotheses_of(inquiry.evidence, inquiry.found, found)), inquiry.records[0]
+    return found.answer, model, normalise_weights(hypotheses_of(inquiry.found, found)), inquiry.records[0]
 
 
 def _model_of(context: dict) -> str:
-    """The model of a report, unchanged since then.
-
-    Raises:
-        ConfigError: it is gone, or changed.
-    """
+    """The model of a report, unchanged since then. Raises ConfigError: it is gone, or changed."""
     if not context:
         return "fish"
     if model_version.digest(context["model"]) != context["model_sha256"]:

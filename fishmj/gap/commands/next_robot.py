@@ -59,8 +59,8 @@ def next_robot(args: Any) -> int:
             raise UnknownName("experiment", name, FAMILIES)
     robot, verdict, logs = _asked(args)
     if robot.thrusters or robot.base:
-        told = "experiments are for joints of a robot whose base is fixed, and this one floats or has thrusters"
-        raise ConfigError(f"gap next: {robot.path}: {told}; fly it by its controller, with faster turns and climbs than before")
+        text = "experiments are for joints of a robot whose base is fixed, and this one floats or has thrusters"
+        raise ConfigError(f"gap next: {robot.path}: {text}; fly it by its controller, with faster turns and climbs than before")
     pairs = pairs_of(verdict) if verdict else []
     if verdict and not pairs:
         none = "fewer than two explanations are left, so that none has to be decided between"
@@ -74,8 +74,8 @@ def next_robot(args: Any) -> int:
         robot, rest_of(robot, args.speed), families, args.seconds, args.speed, args.seed, others, progress.terminal_bar
     )
     if not made:
-        told = f"no experiment is safe at {args.speed:g} rad/s or m/s; allow more with --speed, or begin at another key frame"
-        raise ConfigError(f"{robot.path}: {told}")
+        text = f"no experiment is safe at {args.speed:g} rad/s or m/s; allow more with --speed, or begin at another key frame"
+        raise ConfigError(f"{robot.path}: {text}")
     records = [record_of_experiment(robot, one, args.seed) for one in made]
     sizes = sizes_of(robot, logs or records)
     with progress.terminal_bar(len(records), "scores", "experiments") as bar:

@@ -108,8 +108,7 @@ def main(argv: list[str]) -> int:
 def understood(args) -> dict[str, dict[str, float]]:
     """The requested effects with their values, checked before any trial is made.
 
-    Raises:
-        ConfigError: `none` beside an effect; UnknownName, ConfigError as of `parse`.
+    Raises ConfigError: `none` beside an effect; UnknownName, ConfigError as of `parse`.
     """
     texts = [text for text in args.effect if text != "none"]
     if texts and len(texts) < len(args.effect):

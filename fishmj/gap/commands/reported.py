@@ -135,8 +135,7 @@ class _Version(_ReportTable):
 def verdict(report: Path, *, context: bool) -> dict[str, Any]:
     """The verdict from a report's folder or verdict.json. context: the search's inputs must be there, too.
 
-    Raises:
-        StoreError: no such file, or not JSON. ConfigError: not written by gap find; names the field.
+    Raises StoreError: no such file, or not JSON; ConfigError: not written by gap find; names the field.
     """
     path = report / "verdict.json" if report.is_dir() else report
     found = read_json(path)
@@ -162,8 +161,7 @@ def is_of_robot(report: Path) -> bool:
 def robot_verdict(report: Path) -> dict[str, Any] | None:
     """The verdict on a robot in MJCF from a report's folder or verdict.json; None for a report on a fish.
 
-    Raises:
-        StoreError: no such file, or not JSON. ConfigError: not written by gap find; names the field.
+    Raises StoreError: no such file, or not JSON; ConfigError: not written by gap find; names the field.
     """
     path = report / "verdict.json" if report.is_dir() else report
     found = read_json(path)

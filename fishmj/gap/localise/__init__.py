@@ -10,20 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fishmj.gap.localise import residual_patterns as patterns
 from fishmj.gap.localise.comparison import KINDS, Comparison, compared, kinds, shares
-from fishmj.gap.localise.residual_patterns import (
-    BeatLock,
-    BeatRates,
-    FrameResidual,
-    Lags,
-    Side,
-    beat,
-    by_rate,
-    frame,
-    lags,
-    side,
-    stretches,
-)
 
 __all__ = ["Comparison", "Localisation", "compared", "localise"]
 THIRDS = 3
@@ -49,13 +37,13 @@ class Localisation:
     share: np.ndarray
     level: np.ndarray
     time: np.ndarray
-    lags: Lags
-    locked: dict[str, BeatLock]
-    frame: FrameResidual | None
-    side: Side | None
+    lags: patterns.Lags
+    locked: dict[str, patterns.BeatLock]
+    frame: patterns.FrameResidual | None
+    side: patterns.Side | None
     thirds: dict[str, np.ndarray]
     session: dict[str, float]
-    rates: BeatRates | None
+    rates: patterns.BeatRates | None
     bias: np.ndarray
 
     @property
@@ -69,12 +57,12 @@ class Localisation:
 def localise(c: Comparison, allowed: float) -> Localisation:
     """All diagnostics of a comparison. allowed: gap of healthy robots."""
     channels, share, level, time = shares(c, kinds(c))
-    found = stretches(c)
+    found = patterns.stretches(c)
     gaps = [float(np.mean(ratio)) for ratio in c.ratio]
-    locked = {name: got for name in ("joint", "heading") if (got := beat(c, name)) is not None}
+    locked = {name: got for name in ("joint", "heading") if (got := patterns.beat(c, name)) is not None}
     return Localisation(
-        *(gaps[0], gaps[1], allowed, channels, KINDS, share, level, time, lags(c), locked, frame(found), side(found)),
-        *(thirds(c), over_session(c), by_rate(c), bias(c)),
+        *(gaps[0], gaps[1], allowed, channels, KINDS, share, level, time, patterns.lags(c), locked),
+        *(patterns.frame(found), patterns.side(found), thirds(c), over_session(c), patterns.by_rate(c), bias(c)),
     )
 
 

@@ -16,9 +16,8 @@ The gap of the position may have a direction in the tank, or on the robot; that 
                                                               even [rad/s]: the same on both sides: offset, asymmetry
                                                               odd: a turn too strong or too weak
 
-In body axes, a appears as first harmonic over the heading and b as a constant. Rates are straight lines through STRETCH
-seconds, tapered so that a beat does not look like a turn; fits are weighted with the floor; standard deviations resample BLOCK
-seconds.
+In body axes, a appears as first harmonic over the heading and b as a constant. Rates are straight lines through STRETCH seconds,
+tapered so that a beat does not look like a turn; fits are weighted with the floor; standard deviations resample BLOCK seconds.
 """
 
 from typing import NamedTuple

@@ -124,7 +124,7 @@ def compared(runs: list[BoatCoast], short: list[str], say=lambda text: None) -> 
     gain = ahead if better == "quadratic" else -ahead
     exact = exact_p(gain, np.zeros(len(gain)))
     sure = p >= LEAST_FOR_SURE and exact <= LEVEL and len(runs) >= LEAST_GROUPS
-    told = f"{better} drag" if sure else "CLASS: linear or quadratic drag, these runs cannot tell"
+    answer = f"{better} drag" if sure else "CLASS: linear or quadratic drag, these runs cannot tell"
     figures = {
         "name": "usv_coastdown",
         "origin": "measured",
@@ -139,7 +139,7 @@ def compared(runs: list[BoatCoast], short: list[str], say=lambda text: None) -> 
         "coefficient": value,
         "coefficient_folds": spread,
         "rms": rms,
-        "answer": told,
+        "answer": answer,
     }
     lines = [
         "usv_coastdown",
@@ -151,6 +151,6 @@ def compared(runs: list[BoatCoast], short: list[str], say=lambda text: None) -> 
         ),
         f"  per run, quadratic minus linear: {', '.join(f'{a:+.2f}' for a in ahead)}; P({better} is better) = {p:.2f}",
         f"  exact p = {exact:.2g} over {len(runs)} runs ({smallest_p(len(runs)):.2g} at least), {int(np.sum(gain > 0))} for it",
-        told,
+        answer,
     ]
     return "\n".join(lines), figures

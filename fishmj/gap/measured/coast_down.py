@@ -1,8 +1,7 @@
 """A body that coasts to rest: (m + X) du/dt = -c |u| u + effects, with its speed as the only measurement.
 
-The initial speed of each coast is not measured but fitted: among trajectories from `STARTS` speeds, the one
-that fits the coast's own rows best is taken, anew under every law. So a law is judged by the decay of the speed, not by its
-start.
+The initial speed of each coast is not measured but fitted: among trajectories from `STARTS` speeds, the one that fits the coast's
+own rows best is taken, anew under every law. So a law is judged by the decay of the speed, not by its start.
 """
 
 from collections.abc import Iterable, Sequence
@@ -78,11 +77,7 @@ def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray
 
 
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[CoastRecord]:
-    """Every log, whole or up to the horizon.
-
-    Raises:
-        LogError: too few rows, too long, or a body that never moves ahead.
-    """
+    """Every log, whole or up to the horizon. Raises LogError: too few rows, too long, or a body that never moves ahead."""
     out, sigma = [], np.array([study.given.noise.speed])
     for log, group in zip(logs, groups, strict=True):
         t, speed = log.series["speed"]

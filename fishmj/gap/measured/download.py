@@ -30,8 +30,7 @@ def download(url: str, folder: Path, key: str, sha256: str | None, limit: int) -
         key: name of the part file. sha256: of the body (None: the caller checks).
         limit: bytes; the exact size with a hash, else the largest that is accepted.
 
-    Raises:
-        Missing: 404 or 410. StoreError: refused, broken off `TRIES` times, too long, or the wrong hash.
+    Raises Missing: 404 or 410; StoreError: refused, broken off `TRIES` times, too long, or the wrong hash.
     """
     part = Path(folder) / f".{key}.part"
     part.parent.mkdir(parents=True, exist_ok=True)

@@ -165,8 +165,8 @@ def _member(url: str, archive: zipfile.ZipFile, inside: dict[tuple[str, ...], zi
         data = archive.read(info)
         if hashlib.sha256(data).hexdigest() == pin.sha256:
             return data
-    told = f"{len(found)} of its size, none with sha256 {pin.sha256}" if found else f"none of {pin.bytes} bytes"
-    raise StoreError(f"{url}: member {pin.path}: {told}; the source has changed since it was pinned")
+    text = f"{len(found)} of its size, none with sha256 {pin.sha256}" if found else f"none of {pin.bytes} bytes"
+    raise StoreError(f"{url}: member {pin.path}: {text}; the source has changed since it was pinned")
 
 
 def _licence(wanted: PublicSet, base: str, out: Path) -> list[str]:
@@ -192,6 +192,6 @@ def main(argv: list[str]) -> int:
     got = fetch(args.name, args.out or Path(args.name), args.base_url, say=console.say)
     console.say(f"{got.files} files in {got.folder}: {got.downloaded} bytes downloaded, {got.kept} files were there", *got.notes)
     if args.json:
-        told = {"downloaded": got.downloaded, "kept": got.kept, "notes": got.notes}
-        console.emit_json({"name": got.name, "folder": str(got.folder), "files": got.files, **told})
+        result = {"downloaded": got.downloaded, "kept": got.kept, "notes": got.notes}
+        console.emit_json({"name": got.name, "folder": str(got.folder), "files": got.files, **result})
     return console.OK

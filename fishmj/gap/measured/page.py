@@ -27,7 +27,7 @@ SHOWN = 40  # groups in the picture
 def html(given: StudyInput, study: Study, found: StudyOutcome, v: Verdict, figures: dict) -> str:
     """The page as one text without outside references."""
     with style(STYLE):
-        sections = [answer(study, v), groups(study, found), *(candidates(study, r) for r in found.rounds), sure(study, found)]
+        sections = [answer(study, v), groups(study, found), *(candidates(r) for r in found.rounds), sure(study)]
         sections += [others(figures), records(study)]
     heading = f"{study.name}: {', '.join(title(e.name) for e in v.effects) or 'nothing named'}"
     notes = [MEANING[v.answer]]
@@ -84,7 +84,7 @@ def _dots(each: dict, taken: bool):
     return svg(fig, "error of each group that was left out, before and after")
 
 
-def candidates(study: Study, r: SelectionRound) -> Section:
+def candidates(r: SelectionRound) -> Section:
     """Section with one round's table."""
     name = r.fitted.names[-1]
     start = r.before.sum()
@@ -105,7 +105,7 @@ def candidates(study: Study, r: SelectionRound) -> Section:
     return Section(f"Candidates: {title(name)}", about, [table(rows)])
 
 
-def sure(study: Study, found: StudyOutcome) -> Section:
+def sure(study: Study) -> Section:
     """Section on the certainty that so many groups allow."""
     n = len(study.groups)
     items = [

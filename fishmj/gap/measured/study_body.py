@@ -38,8 +38,7 @@ class RecordPath(NamedTuple):
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> tuple[list[MeanGait], float]:
     """(runs of every log that is long enough for one, the model's step [s]).
 
-    Raises:
-        LogError: no log is long enough, or there are more runs than a study takes.
+    Raises LogError: no log is long enough, or there are more runs than a study takes.
     """
     p = study.given.prediction
     step = p.step or (0.0 if p.as_logged else even_step(logs))

@@ -27,11 +27,7 @@ TURN = 0.3  # prior of a constant, as a share of it
 
 
 def shipped(name: str, changes: Mapping[str, Any] | None = None) -> StudyInput:
-    """A study of a published set. changes: keys in place of its own, by block.
-
-    Raises:
-        UnknownName: no study of this name.
-    """
+    """A study of a published set. changes: keys in place of its own, by block. Raises UnknownName: no study of this name."""
     known = sorted(path.stem for path in SHIPPED.glob("*.toml"))
     if name not in known:
         raise UnknownName("shipped study", name, known)
@@ -47,8 +43,7 @@ def deleted(name: str, constant: str) -> dict[str, Any]:
 def built(study: StudyInput) -> Study:
     """The study, ready for the search.
 
-    Raises:
-        LogError: records that are missing or damaged, fewer than two groups, or none left to learn from.
+    Raises LogError: records that are missing or damaged, fewer than two groups, or none left to learn from.
     """
     logs = logs_of(study)
     groups = [group_of(log, study.given.groups.by) for log in logs]

@@ -64,8 +64,7 @@ class Log(NamedTuple):
 def logs_of(study: StudyInput) -> list[Log]:
     """Every record, in order of its name.
 
-    Raises:
-        LogError: no folder, no file, or a table that lacks a column, is damaged, or has impossible numbers.
+    Raises LogError: no folder, no file, or a table that lacks a column, is damaged, or has impossible numbers.
     """
     data = study.given.data
     if data.set is not None:
@@ -110,15 +109,15 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
     sheet, stamp = delimited.read(path), study.stamp
     if stamp is None:
         raise LogError(f"{study.where} [columns] t: got nothing, expected the column of the stamps")
-    t = stamp.factor * _cells(study, sheet, stamp.column, "t", stamp.unit)
+    t = stamp.factor * _cells(sheet, stamp.column, "t", stamp.unit)
     if stamp.nanoseconds:
-        t = t + 1e-9 * _cells(study, sheet, stamp.nanoseconds, "t", "")
+        t = t + 1e-9 * _cells(sheet, stamp.nanoseconds, "t", "")
     columns = {}
     for key, c in study.columns.items():
         if c.constant is not None:
             columns[key] = np.full(len(sheet), c.constant)
         else:
-            columns[key] = c.factor * (_cells(study, sheet, str(c.column), key, c.unit) - c.zero)
+            columns[key] = c.factor * (_cells(sheet, str(c.column), key, c.unit) - c.zero)
     good = np.isfinite(t) & np.all([np.isfinite(v) for v in columns.values()], axis=0)
     where = shown_path(path)
     bad = int(np.sum(~good))
@@ -149,7 +148,7 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
     return Log(name, where, {k: Series(t - begin, v[good]) for k, v in columns.items()}, told, None, notes)
 
 
-def _cells(study: StudyInput, sheet: Sheet, column: str, key: str, unit: str) -> np.ndarray:
+def _cells(sheet: Sheet, column: str, key: str, unit: str) -> np.ndarray:
     """Cells of one column of a file; its unit must match the study's."""
     if column not in sheet.columns:
         near = get_close_matches(column, list(sheet.columns), 1, 0.5)
@@ -227,11 +226,7 @@ def _of_trial(study: StudyInput, name: str, trial: Trial) -> Log:
 
 
 def log_value(log: Log, key: str) -> str | float:
-    """Value of a name in `by` or `where` for a log.
-
-    Raises:
-        LogError: unknown; the known names are listed.
-    """
+    """Value of a name in `by` or `where` for a log. Raises LogError: unknown; the known names are listed."""
     value = log.told.get(key)
     if value is None and log.trial is not None:
         value = log.trial.value(key)

@@ -235,11 +235,7 @@ def variants(study: StudyInput) -> dict[str, StudyInput]:
 
 
 def checked(table: dict[str, Any], where: str, folder: Path) -> StudyInput:
-    """The table as a study.
-
-    Raises:
-        ConfigError: lists the errors, a line for each.
-    """
+    """The table as a study. Raises ConfigError: lists the errors, a line for each."""
     try:
         given = StudyFile.model_validate(table)
     except ValidationError as error:

@@ -39,11 +39,7 @@ def step(study: StudyInput, logs: Sequence[Log]) -> float:
 
 
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[PendulumLog]:
-    """Every log, whole or in runs of the horizon.
-
-    Raises:
-        LogError: the gain is neither in the study nor determined by the log.
-    """
+    """Every log, whole or in runs of the horizon. Raises LogError: the gain is neither in the study nor determined by the log."""
     nominal = study.given.nominal
     lacking = [log.where for log in logs if "duty" not in log.series]
     if lacking and not ("gain" in nominal and "duty" in nominal):

@@ -225,7 +225,7 @@ def predicted(beats: list[BeatResponse], say=lambda text: None, choices=None) ->
         "within": WITHIN,
         "holds": answer.worst <= WITHIN,
     }
-    said = "within" if answer.worst <= WITHIN else "beyond"
+    message = "within" if answer.worst <= WITHIN else "beyond"
     row = lambda values, form: ", ".join(format(v, form) for v in values)
     lines = [
         "tendon_fish",
@@ -236,7 +236,7 @@ def predicted(beats: list[BeatResponse], say=lambda text: None, choices=None) ->
             f" {c.fitted[0]:.2f}" + (f", {c.term} {c.fitted[1]:.3g}" if c.term else "")
             for c in found
         ),
-        f"{answer.constant} and {answer.term}: worst {answer.worst:.1%}, {said} the limit",
+        f"{answer.constant} and {answer.term}: worst {answer.worst:.1%}, {message} the limit",
         f"  the model was chosen among these {len(found)} with all trials in view; four speeds do not name a term",
     ]
     return "\n".join(lines), figures

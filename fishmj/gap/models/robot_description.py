@@ -198,8 +198,7 @@ def is_robot(model: object) -> bool:
 def robot_file(model: object) -> Path:
     """The file of a robot: a path, or `menagerie:NAME`, which is downloaded at its first use.
 
-    Raises:
-        MissingExtra: the package mujoco-menagerie is absent. ConfigError: no such robot or file, or no download.
+    Raises MissingExtra: the package mujoco-menagerie is absent; ConfigError: no such robot or file, or no download.
     """
     name = str(model)
     if not name.startswith(MENAGERIE):
@@ -227,8 +226,7 @@ def name_of(m, kind: str, number: int) -> str:
 def read_robot(path: Path) -> RobotDescription:
     """Reads a description.
 
-    Raises:
-        ConfigError: not a model, or one that the search cannot take; one line that says what would work.
+    Raises ConfigError: not a model, or one that the search cannot take; one line that says what would work.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))

@@ -206,11 +206,7 @@ class RecordedNull(SimulatedNull):
 
     @property
     def bundles(self) -> list[Path]:
-        """Bundles of the fish in use.
-
-        Raises:
-            LogError: too few.
-        """
+        """Bundles of the fish in use. Raises LogError: too few."""
         found = [path for path in sorted(self.folder.glob("*.npz")) if path.stem not in self.without]
         if len(found) < FEWEST:
             raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")

@@ -17,8 +17,7 @@ BUNDLE = ".npz"
 def trials_in(data: Path) -> list[Trial]:
     """The readable trials of a data set, under their folders' names, or those of a bundle.
 
-    Raises:
-        LogError, StoreError: nothing readable there.
+    Raises LogError, StoreError: nothing readable there.
     """
     return list(readable_trials(data).trials.values())
 
@@ -28,8 +27,7 @@ def readable_trials(data: Path, dt: float | None = None) -> Taken:
 
     dt: also leave out trials that cannot be compared at this step [s] of a model.
 
-    Raises:
-        LogError, StoreError: nothing readable there.
+    Raises LogError, StoreError: nothing readable there.
     """
     found = _bundle(data) if data.suffix == BUNDLE else take(data)
     trials, notes, broken = {}, list(found.notes), dict(found.broken)
@@ -54,11 +52,7 @@ def readable_trials(data: Path, dt: float | None = None) -> Taken:
 
 
 def trials_named(data: Path, names: list) -> list[Trial]:
-    """The trials of those names, all of them.
-
-    Raises:
-        LogError: one is missing, or cannot be read.
-    """
+    """The trials of those names, all of them. Raises LogError: one is missing, or cannot be read."""
     found = readable_trials(data)
     for name in names:
         if name not in found.trials:
@@ -97,8 +91,7 @@ def named(name: str, trial: Trial) -> Trial:
 def digest(data: Path) -> str:
     """sha256 of a bundle, of a folder's manifest, or of the manifest that its files would have.
 
-    Raises:
-        LogError, StoreError: no data set there.
+    Raises LogError, StoreError: no data set there.
     """
     if data.suffix == BUNDLE or (data / MANIFEST).is_file():
         return sha256(data if data.suffix == BUNDLE else data / MANIFEST)

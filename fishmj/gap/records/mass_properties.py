@@ -2,11 +2,10 @@
 
     weighed = (mass kg, balance point from the nose m, yaw inertia about it kg m2)      straight, dry
 
-The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first searched record. Without
-scales in it the mass of the description counts as weighed, unless stated otherwise: a wrong body mass imitates
-nearly any error of the water, and takes a minute to weigh. Its null runs are the instruments' errors alone: a healthy fish
-weighs as much as its model. An effect on a weighing is the definition of mass and no formula of the water, so no
-form error is granted (likelihood.py).
+The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first searched record. Without scales
+in it the mass of the description counts as weighed, unless stated otherwise: a wrong body mass imitates nearly any error of the
+water, and takes a minute to weigh. Its null runs are the instruments' errors alone: a healthy fish weighs as much as its model.
+An effect on a weighing is the definition of mass and no formula of the water, so no form error is granted (likelihood.py).
 """
 
 from math import sqrt
@@ -28,10 +27,7 @@ def sensor(page: dict, model, known: bool = True) -> Sensor | None:
     """(1, 3) values of a page, NaN for a missing table; None for an empty page.
 
     sigma: of the instruments, or the scatter of repeats. known: the description's mass was weighed, to within the error of
-    scales; it counts if the page has no scales.
-
-    Raises:
-        ConfigError: a number is missing or not positive.
+    scales; it counts if the page has no scales. Raises ConfigError: a number is missing or not positive.
     """
     if not known and not page.keys() & {"scales", "balance", "pendulum"}:
         return None

@@ -71,9 +71,8 @@ class Record(NamedTuple):
 def record_of(trial: Trial, dt: float) -> Record:
     """Reads one trial.
 
-    Raises:
-        LogError: no commands or rows of them lost, nothing measured or too late, joints that differ in number, clocks of another
-            zero, a fish that swims at the first row, or meta data that are no numbers.
+    Raises LogError: no commands or rows of them lost, nothing measured or too late, joints that differ in number, clocks of
+    another zero, a fish that swims at the first row, or meta data that are no numbers.
     """
     if "cmd" not in trial.tables:
         raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")

@@ -89,8 +89,7 @@ class RobotColumns(NamedTuple):
 def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str], free: bool = False) -> RobotColumns:
     """The map of a file. free: the model has a free base.
 
-    Raises:
-        LogError: not TOML, an unknown key, or a joint, an actuator or the base of the model without a column.
+    Raises LogError: not TOML, an unknown key, or a joint, an actuator or the base of the model without a column.
     """
     raw, tables = map_table(path), {}
     for table, names in (("joint", joints), ("actuator", actuators), ("base", POSE if free else ())):
@@ -131,8 +130,7 @@ def guess_columns(
         torques: True if the model's actuators take torques, not positions. units: stated by the file beside the names.
         free: the model has a free base.
 
-    Raises:
-        LogError: nothing fits, or two fit as well.
+    Raises LogError: nothing fits, or two fit as well.
     """
     base = _pose_columns(names) if free else {}
     names = [n for n in names if n not in base.values()]
@@ -352,8 +350,7 @@ def read_sheet(path: Path) -> LogTable:
 def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     """One log: commands by actuator (c#) and positions by joint (j#), SI.
 
-    Raises:
-        LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
+    Raises LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
     tables = {}
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
@@ -426,11 +423,11 @@ def _refuse_degrees(table: LogTable, columns: RobotColumns, t: np.ndarray, moved
         far = np.max(np.abs(values[rows]), initial=0.0)
         later = np.interp(clock + OVER, clock, angle) - angle if len(clock) else np.zeros(1)
         fast = float(np.quantile(np.abs(later), 0.9)) / OVER
-        told = f"turns to {far:.3g} rad" if far > LARGEST else f"turns at {fast:.3g} rad/s" if fast > FASTEST else ""
-        if told:
+        text = f"turns to {far:.3g} rad" if far > LARGEST else f"turns at {fast:.3g} rad/s" if fast > FASTEST else ""
+        if text:
             unit = f"is {c.column} in degrees, of a motor before its gear, or in a scale of its own as -100 to 100"
             remedy = "State its unit (rad, if it is right) or scale in a map, --columns MAP.toml"
-            raise LogError(f"{table.where}: joint {name} {told}; {unit}? {remedy}")
+            raise LogError(f"{table.where}: joint {name} {text}; {unit}? {remedy}")
 
 
 def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[Trial], dict[str, str]]:

@@ -92,8 +92,7 @@ class RobotRecord(NamedTuple):
 def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecord:
     """Cuts one log into segments and estimates their starts. dt: the model's step [s]. joints: `RobotDescription.channels`.
 
-    Raises:
-        LogError: no commands or positions, another number of joints, or no segment without a pause.
+    Raises LogError: no commands or positions, another number of joints, or no segment without a pause.
     """
     for table, what in (("cmd", "commands"), ("joint", "positions")):
         if table not in trial.tables or not len(trial.table(table)["t"]):

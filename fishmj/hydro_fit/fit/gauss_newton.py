@@ -154,9 +154,9 @@ def thrusts(rows: RegressionRows, force: np.ndarray) -> np.ndarray:
     return np.array([along[span].mean() for span in rows.spans()])
 
 
-def tow_drag(ch: planar_chain.Chain, robot: Robot, speed: float = TOW) -> float:
+def tow_drag(ch: planar_chain.Chain, robot: Robot) -> float:
     """Drag of the straight fish by the prior coefficients, N: the unit of thrust errors."""
-    q, v = [0.0] * (ch.n + 2), [speed, *[0.0] * (ch.n + 1)]
+    q, v = [0.0] * (ch.n + 2), [TOW, *[0.0] * (ch.n + 1)]
     k = planar_chain.kinematics(np, ch, q, v, [(0.0, 0.0)] * ch.n)
     forces = planar_chain.water_forces(np, ch, planar_chain.nominal(robot), k, 0.0, (0.0, 0.0), 1.0)
     return -float(sum(f[0] for f in forces))

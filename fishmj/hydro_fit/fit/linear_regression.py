@@ -38,8 +38,7 @@ class LinearFit(NamedTuple):
 def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick: float, *, stall: bool = True) -> LinearFit:
     """Fits all linear coefficients; with `stall`, also the stall angle and lag on a grid.
 
-    Raises:
-        DatasetError: forces are not finite.
+    Raises DatasetError: forces are not finite.
     """
     if not np.isfinite(data.force).all():
         raise DatasetError("linear fit: a wrench is not finite; collect the record again")

@@ -60,11 +60,7 @@ def ambient_of(record: SegmentRecord) -> np.ndarray:
 
 
 def rows_of(ch: planar_chain.Chain, records: Iterable[SegmentRecord]) -> RegressionRows:
-    """All ticks of some records, one after the other.
-
-    Raises:
-        DatasetError: no record, or a record of another number of links.
-    """
+    """All ticks of some records, one after the other. Raises DatasetError: no record, or a record of another number of links."""
     parts = []
     for number, record in enumerate(records):
         if record.wrench.shape[1] != ch.n:

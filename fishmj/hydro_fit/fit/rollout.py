@@ -63,8 +63,7 @@ def is_free(record: SegmentRecord) -> bool:
 def fish_batch_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], *, seconds: float = 10.0) -> FishBatch:
     """Free swims cut into pieces of `seconds`; a rest shorter than `SHORTEST` is left out.
 
-    Raises:
-        DatasetError: no record swims freely.
+    Raises DatasetError: no record swims freely.
     """
     pieces = []
     for number, record in enumerate(records):
@@ -133,11 +132,7 @@ def padded(fleet: FishBatch, like: FishBatch) -> FishBatch:
 
 
 class SwimWindow:
-    """Free swims of one robot in JAX.
-
-    Args:
-        swimmer: the fish; `run` replaces its water.
-    """
+    """Free swims of one robot in JAX. swimmer: the fish; `run` replaces its water."""
 
     def __init__(self, ch: planar_chain.Chain, swimmer: planar_chain.Swimmer):
         self.chain, self.swimmer = ch, swimmer

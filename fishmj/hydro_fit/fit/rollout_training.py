@@ -8,8 +8,7 @@ dv: surge, sway and yaw rate over windows of 0.2 s, dV: over the whole piece, dP
 model that is right to a per cent in every force may still swim wrong, so the swims decide. The error within a beat is larger than
 that of the mean, which makes a fish late or turn too wide, so the mean has a term of its own. The wake at a start is filled by
 the recorded motion of the 1.2 s before it; gradients include that. The members act together, as in a fish. Backpropagation
-through a
-differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
+through a differentiable simulator: Degrave et al. 2019, doi 10.3389/fnbot.2019.00006.
 """
 
 from collections.abc import Callable, Sequence
@@ -65,11 +64,7 @@ class TetheredRecords(NamedTuple):
 
 
 def windows_of(ch: planar_chain.Chain, robot: Robot, records: Sequence[SegmentRecord], c: strip_forces.Coefficients) -> Windows:
-    """Overlapping pieces of all free swims.
-
-    Raises:
-        DatasetError: none is long enough.
-    """
+    """Overlapping pieces of all free swims. Raises DatasetError: none is long enough."""
     free = [r for r in records if is_free(r) and r.seconds >= LENGTH]
     if not free:
         raise DatasetError(f"no free swim of {LENGTH:g} s among the records; collect gaits")

@@ -42,14 +42,14 @@ class EllipsoidFreeSwims(free_swims.FreeSwims):
 
 def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict:
     """{"figures", "n", "freerun_s"} as from `check.judge`, without error bar and guard, which this water does not have."""
-    swum = EllipsoidFreeSwims(water, robot, records)
-    got, n = free_swims.errors(swum, swum.late)
+    swims = EllipsoidFreeSwims(water, robot, records)
+    got, n = free_swims.errors(swims, swims.late)
     held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = _thrust(water, robot, held), len(held)
-    far = np.linalg.norm(swum.cruise_track.q[..., :2] - swum.cruise.q[:, 1:, :2], axis=-1)
-    last = swum.cruise.mask.sum(1).astype(int) - 1
+    far = np.linalg.norm(swims.cruise_track.q[..., :2] - swims.cruise.q[:, 1:, :2], axis=-1)
+    last = swims.cruise.mask.sum(1).astype(int) - 1
     got["freerun_position_error"], n["freerun_position_error"] = float(far[np.arange(len(far)), last].mean()), len(far)
-    return {"figures": got, "n": n, "freerun_s": float(swum.cruise.mask.sum(1).min() * records[0].tick)}
+    return {"figures": got, "n": n, "freerun_s": float(swims.cruise.mask.sum(1).min() * records[0].tick)}
 
 
 def _thrust(water: Fitted, robot: Robot, held: Sequence[SegmentRecord]) -> float:

@@ -103,11 +103,7 @@ REGISTRY: dict[str, Case] = {}
 def register(
     name: str, *, rung: float, grid: str, source: str, quick: bool = False, cost: str = "", gpu: bool = False
 ) -> Callable[[Solve], Solve]:
-    """Returns a decorator that adds `solve(device)` to the ladder.
-
-    Raises:
-        ConfigError: another case has this name.
-    """
+    """Returns a decorator that adds `solve(device)` to the ladder. Raises ConfigError: another case has this name."""
 
     def keep(solve: Solve) -> Solve:
         if name in REGISTRY:

@@ -129,19 +129,6 @@ def pulse_returned(device: str = "cpu", width: float = 4.0, n: int = 300, low: i
     return float(np.abs(box.outer.pressure()[5 : low - 2]).max() / HEIGHT)
 
 
-def ball_in_a_box(radius: float = 4.0, device: str = "cpu") -> tuple[RefinedStructure, Callable[[], bool]]:
-    """Sphere of so many fine cells in periodic water of coarse cells of 2 m, steps of 2 s.
-
-    And the function that moves its box.
-    """
-    outer = Fluid(Lattice(dx=2.0, dt=2.0, rho=1.0, nu=0.02), (24, 20, 18), device, subgrid="none")
-    at = np.array([20.3, 19.1, 17.2])
-    box = RefinedFluid(outer, lowest(outer, at, (9, 9, 9)), (9, 9, 9))
-    body = ball(radius, box.lattice, at=at)
-    coupled = RefinedStructure(box, body, sphere_markers(radius, 1.0), slip=0.0)
-    return coupled, lambda: box.centre_on(body.data.qpos)
-
-
 def sphere_drag(level: str, device: str, reynolds: float = 20.0, cells: int = 8, towed: bool = False) -> float:
     """C_D of a sphere of `cells` fine cells, as in the case `sphere_drag`: in water that is `coarse`, `fine` or `refined`.
 

@@ -39,7 +39,6 @@ SAMPLES, CYCLES = 100, 5
 BOX = (8.0, 6.0, 6.0)  # chords
 # mean C_T, rms C_L, rms C_Z, eta at St 0.6, psi 90 deg
 FINEST = (0.986, 2.817, 1.600, 0.1727)  # PetIBM, 200 cells a chord
-NOMINAL = (0.914, 2.852, 1.650, 0.1635)  # PetIBM, 100 cells a chord
 LI_DONG = (1.462, 3.417, 1.912, 0.1927)
 BY_ST = {0.4: -0.061, 0.6: 0.914, 0.8: 2.554, 1.0: 4.880, 1.2: 7.905}  # C_T at psi 90 deg, 100 cells a chord
 BY_PHASE = {60: 0.211, 70: 0.459, 80: 0.684, 90: 0.914, 100: 1.131, 110: 1.328, 120: 1.490}  # C_T at St 0.6

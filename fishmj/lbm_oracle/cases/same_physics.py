@@ -64,11 +64,7 @@ def difference(got: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> d
 
 
 def shipped() -> dict[str, np.ndarray]:
-    """Shipped state.
-
-    Raises:
-        StoreError: missing, or not as its manifest says. ConfigError: made for another set-up.
-    """
+    """Shipped state. Raises StoreError: missing, or not as its manifest says; ConfigError: made for another set-up."""
     Manifest.read(folder()).verify(folder())
     arrays, meta = read_tensors(folder() / NAME)
     if (meta.get("schema"), meta.get("set_up")) != (SCHEMA, set_up()):
@@ -99,11 +95,7 @@ def checks(off: dict[str, float]) -> list[Check]:
 
 
 def write(why: str, where: Path | None = None) -> Path:
-    """Computes the state on the CPU and ships it with the reason and its manifest.
-
-    Raises:
-        ConfigError: no reason.
-    """
+    """Computes the state on the CPU and ships it with the reason and its manifest. Raises ConfigError: no reason."""
     if not why.strip():
         raise ConfigError("same_physics: --why is empty; say what changed the physics, it is kept beside the state")
     where = folder() if where is None else where

@@ -91,11 +91,7 @@ def added_mass(radius: float, cells: int, device: str, *, slip: float = 1.0, pas
 
 
 def virtual_mass(density: float, device: str, *, interior: bool = True, scheme: str = "implicit", steps: int = 100) -> float:
-    """(F / a) / m_f - density of a free sphere under a constant push.
-
-    Raises:
-        SimDiverged: the coupling is unstable.
-    """
+    """(F / a) / m_f - density of a free sphere under a constant push. Raises SimDiverged: the coupling is unstable."""
     lattice = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=1e-3)
     water = Fluid(lattice, (32,) * 3, device, subgrid="none")
     body = ball(5.0, lattice, density=density, at=(16.3, 16.1, 15.8))

@@ -76,8 +76,7 @@ def release_markers(
 ) -> Release:
     """Release of n markers from the middle of the upstream end of the box, each two integral lengths of water after the other.
 
-    Raises:
-        ConfigError: no markers, no current, a marker finer than a cell or wider than the margin.
+    Raises ConfigError: no markers, no current, a marker finer than a cell or wider than the margin.
     """
     edge = domain.sponge * domain.dx + MARGIN * domain.size[0]
     half = [(cells - 1) / 2 * domain.dx - edge for cells in domain.shape[:2]]
@@ -100,8 +99,7 @@ def release_markers(
 def in_solver(domain: Domain, flow: Flow, *, settle: float, end: float, device: str = "cpu") -> Iterator[tuple[float, Sampler]]:
     """Yields time and water of the solver after `settle` s, every tick until `end` s; there is no fish and the box does not move.
 
-    Raises:
-        OracleUnstable: the set-up would not run, or the water is not finite.
+    Raises OracleUnstable: the set-up would not run, or the water is not finite.
     """
     stability.check(domain, speed=max(flow.speed, stability.SLOW))
     steps = round(TICK / domain.dt)

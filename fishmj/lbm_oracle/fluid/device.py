@@ -86,9 +86,8 @@ def devices_of(name: str = "auto", need: int = 0) -> tuple[str, ...]:
         name: as for `device_of`; or `cuda:all`, every accelerator that this process sees; or several devices of one kind with
             commas, `cuda:0,cuda:1`. A device that is named twice, as in `cpu,cpu`, gets two processes.
 
-    Raises:
-        UnknownName, ConfigError: as `device_of`; ConfigError also for `auto` in a list and for two kinds in one list, because
-            their results differ in the last bits.
+    Raises UnknownName, ConfigError: as `device_of`; ConfigError also for `auto` in a list and for two kinds in one list, because
+    their results differ in the last bits.
     """
     names = str(name).split(",")
     if len(names) > 1 and (len(kinds := {one.partition(":")[0] for one in names}) > 1 or "auto" in kinds):

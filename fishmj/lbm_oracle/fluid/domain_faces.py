@@ -10,9 +10,8 @@ open    the node takes the moments of its inner neighbour and replaces the incom
 sponge  the last `sponge` cells of an open face relax towards density 1 and the background flow with
         sigma = sponge_rate (depth / sponge)^2
 
-A new face is one subclass of `Face` and its entry in `FACES`. `redirect` is called while the kernel's code is generated;
-`gain` and `complete` name functions of `in_kernels`, which the kernel calls directly. A face that is not used therefore costs
-nothing.
+A new face is one subclass of `Face` and its entry in `FACES`. `redirect` is called while the kernel's code is generated; `gain`
+and `complete` name functions of `in_kernels`, which the kernel calls directly. A face that is not used therefore costs nothing.
 
 Sources: Ladd 1994, J. Fluid Mech. 271:285 (bounce-back); Poinsot and Lele 1992, J. Comput. Phys. 101:104 (characteristics);
 Israeli and Orszag 1981, J. Comput. Phys. 41:115 (sponge).

@@ -223,8 +223,7 @@ class Fluid:
     def set_flow(self, flow: Flow) -> None:
         """Changes the background flow from now on; the water inside follows through the sponge.
 
-        Raises:
-            ConfigError: not a `Flow`. OracleUnstable: the flow is faster than the Mach limit of this grid.
+        Raises ConfigError: not a `Flow`; OracleUnstable: the flow is faster than the Mach limit of this grid.
         """
         checked_kind("fluid: flow", flow, Flow, needed=True)
         check_speed(self.lattice, flow.speed, "fluid: background flow")

@@ -38,8 +38,7 @@ def numbers(what: str, value: Any, shape: Sequence[int | None] = (), *, low: flo
         what: name of the value in the message, as "markers: area".
         low, high: range of its entries, ends included.
 
-    Raises:
-        ConfigError: not numbers, another shape, or an entry that is not finite or out of range.
+    Raises ConfigError: not numbers, another shape, or an entry that is not finite or out of range.
     """
     array = _array(what, value, "iuf")
     _check_shape(what, array, shape)

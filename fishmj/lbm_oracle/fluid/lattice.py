@@ -52,8 +52,7 @@ def mirrored(i: int, *axes: int) -> int:
 class Lattice:
     """Grid and fluid: dx m, dt s, rho kg/m3, nu m2/s (kinematic), corner (3,) m, the position of node (0, 0, 0).
 
-    Raises:
-        ConfigError: a size that is not positive and finite, or a corner that is not three finite numbers.
+    Raises ConfigError: a size that is not positive and finite, or a corner that is not three finite numbers.
     """
 
     dx: float

@@ -50,8 +50,7 @@ class AveragingTimes:
     def ticks(self, speed: float, tick: float) -> tuple[int, int]:
         """Numbers of bus ticks before the average and of the average, at a speed in m/s.
 
-        Raises:
-            ConfigError: too short an average.
+        Raises ConfigError: too short an average.
         """
         settle = SETTLE * self.length / speed if self.settle is None else self.settle
         seconds = WINDOW / speed if self.seconds is None else self.seconds

@@ -71,8 +71,7 @@ class ConvergenceResult(NamedTuple):
 def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], slips: Iterable[float]) -> list[Key]:
     """All runs, the cheap ones first.
 
-    Raises:
-        ConfigError: an invalid cell, part or slip, or a time step that does not divide the bus tick.
+    Raises ConfigError: an invalid cell, part or slip, or a time step that does not divide the bus tick.
     """
     courant, tick = constant("oracle", "dt") / constant("oracle", "dx"), TICK
     keys = []

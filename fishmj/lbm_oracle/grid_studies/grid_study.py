@@ -60,8 +60,7 @@ def grid_study(function: Callable[[float], float], dx: Sequence[float]) -> GridS
 
     The physical problem must be the same on all of them: the box, the time over which is averaged, Reynolds and Mach number.
 
-    Raises:
-        ConfigError: not three cells that fall by a factor of 1.1 or more each; a value that is not finite.
+    Raises ConfigError: not three cells that fall by a factor of 1.1 or more each; a value that is not finite.
     """
     sizes = numbers("grid study: dx", dx, (3,), low=1e-300)
     if (sizes[:-1] < LEAST_RATIO * sizes[1:]).any():

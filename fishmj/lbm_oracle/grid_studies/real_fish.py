@@ -85,8 +85,7 @@ def swims() -> list[RealSwim]:
 def fit_slip(real: Sequence[RealSwim], swum: dict[tuple[float, float], float]) -> SlipFit:
     """The slip ratio from the swims that set it. swum: (beat Hz, slip) -> m/s.
 
-    Raises:
-        LogError: fewer than three ratios of one of the swims.
+    Raises LogError: fewer than three ratios of one of the swims.
     """
     found = {swim.beat: sorted((s, u) for (beat, s), u in swum.items() if beat == swim.beat and u > 0) for swim in real}
     for swim in real:

@@ -37,7 +37,6 @@ from fishmj.lbm_oracle.run.swim import figures
 from fishmj.mjcf import load_robot
 
 FREQUENCIES, SLIPS = (0.5, 1.0, 1.5, 2.0), (0.0, 0.95, 0.98, 0.99, 0.995, 1.0)
-Numbers = Sequence[float]
 KEYS = ("frequency", "amplitude_deg", "lag_deg", "slip", "depth")
 OF_THE_PAPER = {"amplitude_deg": 30.0, "lag_deg": 60.0}  # gait of rows that do not state one
 COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
@@ -76,8 +75,7 @@ def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int, **setup
 class SpeedTable:
     """Finished swims in `folder/speeds.json`, beside the set-up that they share.
 
-    Raises:
-        ConfigError: the folder holds another set-up.
+    Raises ConfigError: the folder holds another set-up.
     """
 
     def __init__(self, folder: Path, setup: dict):
@@ -106,8 +104,7 @@ def swim_keys(
 ) -> list[tuple]:
     """Keys (frequency Hz, amplitude deg, lag deg, slip ratio, depth m) of all swims, the short ones first.
 
-    Raises:
-        ConfigError: a frequency or depth that is not positive, an amplitude outside 0 to 90, a slip ratio outside 0 to 1.
+    Raises ConfigError: a frequency or depth that is not positive, an amplitude outside 0 to 90, a slip ratio outside 0 to 1.
     """
     wrong = min(frequencies) <= 0 or min(depths) <= 0 or min(slips) < 0 or max(slips) > 1
     if wrong or min(amplitudes) <= 0 or max(amplitudes) > 90:

@@ -336,11 +336,7 @@ def advance_state(t: Tree, s: Motion, v: wp.array(dtype=wp.float64), dt: wp.floa
 
 
 def tree_of(model: mujoco.MjModel, device: Any) -> Tree:
-    """Constants of a model on a device.
-
-    Raises:
-        ConfigError: the model has something that these kernels leave out.
-    """
+    """Constants of a model on a device. Raises ConfigError: the model has something that these kernels leave out."""
     m, n, count = model, model.nv, model.nbody - 1
     _refuse_what_is_left_out(m)
     make = lambda values, dtype=wp.float64: wp.array(np.ascontiguousarray(values).reshape(-1), dtype=dtype, device=device)

@@ -81,9 +81,8 @@ class ImmersedBody:
         water: displaced water of each link.
         dt: step of the fluid, s; becomes the model's own.
 
-    Raises:
-        ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit; or the water
-            is for another number of links.
+    Raises ConfigError: the model has something that the coupled step leaves out, such as an active contact or limit; or the water
+    is for another number of links.
     """
 
     def __init__(self, model: mujoco.MjModel, water: DisplacedWater, dt: float):
@@ -132,8 +131,7 @@ class ImmersedBody:
     def on_slides(cls, axes: str, mass: float, inertia, displaced: float, inertia_displaced, dt: float) -> "ImmersedBody":
         """Smallest body: one link on slides along some of `xyz`, without gravity. Masses kg, moments of inertia (3,) kg m2.
 
-        Raises:
-            ConfigError: axes that are not of `xyz` or are repeated; invalid masses or moments.
+        Raises ConfigError: axes that are not of `xyz` or are repeated; invalid masses or moments.
         """
         if not isinstance(axes, str) or not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
             raise ConfigError(f"body: axes = {axes!r}; expected one to three of 'xyz', each once")
@@ -164,8 +162,7 @@ class ImmersedBody:
         Args:
             qpos: (nq,) m, rad and quaternions. qvel: (n,) m/s and rad/s; None: at rest.
 
-        Raises:
-            ConfigError: another shape, or not finite.
+        Raises ConfigError: another shape, or not finite.
         """
         qpos = numbers("body: qpos", qpos, (self.model.nq,))
         qvel = 0.0 if qvel is None else numbers("body: qvel", qvel, (self.dofs,))
@@ -287,8 +284,7 @@ class ImmersedBody:
     def advance(self, velocity: np.ndarray) -> None:
         """Does MuJoCo's step to the velocity that the solve found, (n,); afterwards the new state has been passed to `forward`.
 
-        Raises:
-            SimDiverged: the velocity is not finite or too large (the state is then the last good one), or MuJoCo disagrees.
+        Raises SimDiverged: the velocity is not finite or too large (the state is then the last good one), or MuJoCo disagrees.
         """
         d, check = self.data, self._check
         self._target[:] = velocity

@@ -171,8 +171,7 @@ class Boundary:
     def place_markers(self, body, origin: np.ndarray) -> None:
         """Writes pose and velocity of the body into the staging block; `origin` (3,) is the fluid's low corner, a world node.
 
-        Raises:
-            ConfigError: a marker is nearer to a face than `reach`: it would read and push water of the other side.
+        Raises ConfigError: a marker is nearer to a face than `reach`: it would read and push water of the other side.
         """
         self.view["pose"][:], self.view["box"][:] = body.pose, body.first_cell(self.corners)
         self.view["before"][:] = body.data.qvel

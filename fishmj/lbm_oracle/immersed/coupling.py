@@ -78,8 +78,7 @@ class FluidStructure:
         scheme: "implicit"; "explicit" is kept to show that it fails.
         interior: add the momentum of the water inside the hull; False is kept to show that it fails.
 
-    Raises:
-        ConfigError: the two time steps differ, a name is unknown, or the markers are not the body's.
+    Raises ConfigError: the two time steps differ, a name is unknown, or the markers are not the body's.
     """
 
     def __init__(
@@ -155,8 +154,7 @@ class FluidStructure:
     def place_markers(self) -> None:
         """Writes the pose of the body into the block that the device reads.
 
-        Raises:
-            ConfigError: a marker is so near to a face that its kernel would read beyond it.
+        Raises ConfigError: a marker is so near to a face that its kernel would read beyond it.
         """
         self.boundary.place_markers(self.body, self.fluid.origin_lu)
 
@@ -167,8 +165,7 @@ class FluidStructure:
     def solve(self, fixed=None, value=None) -> None:
         """Assembles the body's side of the equation and launches its solution; arguments as `step`.
 
-        Raises:
-            ConfigError: `fixed` or `value` of another shape or not finite, or a value without `fixed`.
+        Raises ConfigError: `fixed` or `value` of another shape or not finite, or a value without `fixed`.
         """
         body = self.body
         if fixed is not None:
@@ -200,8 +197,7 @@ class FluidStructure:
     def scope(self):
         """Stream of this tank: all other code that reads or changes its arrays runs inside this context.
 
-        Raises:
-            ConfigError: the device already computes the next tick (`Run.pipelined`), so that the water is ahead of the fish.
+        Raises ConfigError: the device already computes the next tick (`Run.pipelined`), so that the water is ahead of the fish.
         """
         if self.in_flight:
             raise ConfigError(
@@ -260,8 +256,7 @@ class FluidStructure:
         World frame, N, and N m about the link's origin. The first is the impulse that the markers exchanged (raw). The second
         also has the momentum of the interior water: it is the force of real water on a hull without water inside.
 
-        Raises:
-            ConfigError: no positive number of seconds.
+        Raises ConfigError: no positive number of seconds.
         """
         numbers("coupled: seconds of a wrench", seconds, low=1e-300)
         raw = self.boundary.take_wrench() / seconds

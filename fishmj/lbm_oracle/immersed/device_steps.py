@@ -61,9 +61,8 @@ class DeviceSteps:
         count: steps that `run` does.
         warps: use the markers' kernels of `marker_warps.py`, which need two passes; by default on an accelerator.
 
-    Raises:
-        ConfigError: the explicit scheme, a body with an equation of its own, links that can part without bounds, or a model with
-            more in it than the device computes (`tree_of`).
+    Raises ConfigError: the explicit scheme, a body with an equation of its own, links that can part without bounds, or a model
+    with more in it than the device computes (`tree_of`).
     """
 
     def __init__(self, coupled: FluidStructure, count: int, *, warps: bool | None = None):
@@ -166,9 +165,8 @@ class DeviceSteps:
             command: (count, A) rad, targets of the servos in each step.
             held: (n,) 1 for velocities that are zero in all of them.
 
-        Raises:
-            ConfigError: not a command for every step and servo; or a marker is so near to a face at the start that its kernel
-                would read beyond it.
+        Raises ConfigError: not a command for every step and servo; or a marker is so near to a face at the start that its kernel
+        would read beyond it.
         """
         body, command = self.coupled.body, self._checked(command)
         fixed = np.zeros(body.dofs) if held is None else np.asarray(held, float)
@@ -186,8 +184,7 @@ class DeviceSteps:
 
         The same velocities stay held.
 
-        Raises:
-            ConfigError: not a command for every step and servo; no steps are under way, or two sets of them are.
+        Raises ConfigError: not a command for every step and servo; no steps are under way, or two sets of them are.
         """
         if not self.can_queue_next or len(self._queued) != 1:
             raise ConfigError(f"steps on the device: {len(self._queued)} sets under way; `queue_next` goes behind one")
@@ -232,9 +229,8 @@ class DeviceSteps:
         Args:
             audit: MuJoCo does the same steps first, and both results are compared; nothing may be queued behind them.
 
-        Raises:
-            SimDiverged: a velocity is not finite or too large, or (`audit`) MuJoCo found something else. The body is then as
-                before; the water is not.
+        Raises SimDiverged: a velocity is not finite or too large, or (`audit`) MuJoCo found something else. The body is then as
+        before; the water is not.
         """
         graphs = self.coupled.graphs
         while not self.ready():
@@ -287,8 +283,7 @@ class DeviceSteps:
         Compared are the servo torques of every step, the final state, and in the last step the velocity that follows from
         MuJoCo's masses and forces with the response of the water that the device found.
 
-        Raises:
-            SimDiverged: they differ by more than `AGREES`.
+        Raises SimDiverged: they differ by more than `AGREES`.
         """
         coupled, body, returned = self.coupled, self.coupled.body, self.returned
         d, n, time = body.data, body.dofs, self.coupled.time

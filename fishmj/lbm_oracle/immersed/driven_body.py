@@ -25,8 +25,7 @@ class DrivenBody(ImmersedBody):
     def set_masses(self, mass, centre, inertia) -> None:
         """Sets mass kg, centre of mass along the link m, and vertical moment of inertia about it kg m2 of each link, (L,).
 
-        Raises:
-            ConfigError: another shape, below zero, or not finite.
+        Raises ConfigError: another shape, below zero, or not finite.
         """
         m, size = self.model, (self.links,)
         mass, inertia = (numbers(f"driven body: {name}", v, size, low=0.0) for name, v in (("mass", mass), ("inertia", inertia)))

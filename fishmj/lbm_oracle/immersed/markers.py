@@ -261,8 +261,7 @@ def fish_markers(
         spacing: cells between markers.
         sharpness: insets and slip lengths of hulls and sheets.
 
-    Raises:
-        ConfigError: nothing of the fish is left at this dx.
+    Raises ConfigError: nothing of the fish is left at this dx.
     """
     options: dict[str, Any] = {"slip": slip, "width": width, "hydro_offset": hydro_offset, "spacing": spacing}
     return chain_markers(load_robot(robot), dx, sharpness=sharpness, **options)
@@ -280,8 +279,7 @@ def chain_markers(
 ) -> Markers:
     """Markers of a chain of any number of links; arguments as `fish_markers`.
 
-    Raises:
-        ConfigError: as `fish_markers`, or a laminar hull without a law for the wall's stress.
+    Raises ConfigError: as `fish_markers`, or a laminar hull without a law for the wall's stress.
     """
     numbers("markers: dx", dx, low=1e-300), numbers("markers: spacing", spacing, low=1e-3)
     checked_kind("markers: sharpness", sharpness, Sharpness, needed=True)

@@ -117,8 +117,7 @@ def of_shapes(placed: Sequence[PlacedBody], gravity: np.ndarray, lattice: Lattic
 def of_model(model: mujoco.MjModel, motion: MotionFunction | None, lattice: Lattice) -> SceneBodies:
     """Makes markers and displaced water of a model's geoms; a model without joints is held.
 
-    Raises:
-        ConfigError: a model that the coupled step does not compute, or without a surface; a part too thin for its markers.
+    Raises ConfigError: a model that the coupled step does not compute, or without a surface; a part too thin for its markers.
     """
     found = link_surfaces(model)
     parts, links, masses = [], [], []

@@ -81,8 +81,7 @@ def section(points: Any) -> BodyShape:
 
     Its area, of the coefficients, is its extent across the stream; its size the longer side of the upright box round it.
 
-    Raises:
-        ConfigError: fewer than three corners, a line that crosses itself, or no area.
+    Raises ConfigError: fewer than three corners, a line that crosses itself, or no area.
     """
     corners = numbers("section: points", points, (None, 2))
     if len(corners) < 3:
@@ -104,8 +103,7 @@ def section(points: Any) -> BodyShape:
 def polygon_markers(corners: np.ndarray, dx: float) -> Markers:
     """Markers of a polygon (P, 2) m about a cell apart, one cell deep, drawn in by the kernel's offset.
 
-    Raises:
-        ConfigError: the section is thinner than the offset on both sides.
+    Raises ConfigError: the section is thinner than the offset on both sides.
     """
     inset = INSET * dx
     along = np.roll(corners, -1, 0) - corners
@@ -207,8 +205,7 @@ def mesh(source: Any, scale: float = 1.0) -> BodyShape:
 
     `scale` turns the file's unit into metres. The size is the longest side of the upright box round it.
 
-    Raises:
-        ConfigError: the file cannot be read, or the surface is open, inside out or without volume.
+    Raises ConfigError: the file cannot be read, or the surface is open, inside out or without volume.
     """
     numbers("mesh: scale", scale, low=1e-300)
     what = f"mesh {source}" if isinstance(source, str | Path) else "mesh"
@@ -276,11 +273,10 @@ def solid_moments(vertices: np.ndarray, faces: np.ndarray) -> tuple[float, np.nd
     return volume, centre, np.trace(second) * np.eye(3) - second
 
 
-def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: float, link: int = 0) -> Markers:
+def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: float) -> Markers:
     """Markers of a closed surface about a cell of dx m apart, drawn in by the kernel's offset; the same ones each time.
 
-    Raises:
-        ConfigError: the surface is thinner than the offset on both sides.
+    Raises ConfigError: the surface is thinner than the offset on both sides.
     """
     random = np.random.default_rng(0)
     drawn = _drawn_in(vertices, faces, INSET * dx)
@@ -307,7 +303,7 @@ def surface_markers(what: str, vertices: np.ndarray, faces: np.ndarray, dx: floa
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     flat = np.linalg.norm(normal, axis=1) < 0.5  # two sides of a part without thickness
     normal[flat] = [0.0, 0.0, 1.0]
-    return Markers.rigid(seeds[used, :3] * dx, normal, share[used] * area / len(points), link=link)
+    return Markers.rigid(seeds[used, :3] * dx, normal, share[used] * area / len(points))
 
 
 def _area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -345,8 +341,7 @@ def _random_points(vertices: np.ndarray, faces: np.ndarray, count: int, random) 
 def geom_surface(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
     """Closed surface of a geom, vertices (V, 3) m in the frame of its body and faces (F, 3).
 
-    Raises:
-        ConfigError: a plane, a height field or a signed distance field, or an open mesh.
+    Raises ConfigError: a plane, a height field or a signed distance field, or an open mesh.
     """
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
     what = f"geom {model.geom(geom).name!r}"
@@ -413,8 +408,7 @@ def _revolved(meridian: np.ndarray, around: int = 64) -> tuple[np.ndarray, np.nd
 def link_surfaces(model: mujoco.MjModel) -> list[list[tuple[str, np.ndarray, np.ndarray]]]:
     """Name, vertices and faces of every shown geom (groups 0 to 2) of each moving body.
 
-    Raises:
-        ConfigError: a geom of the world, which no force can be read from; or no geom at all.
+    Raises ConfigError: a geom of the world, which no force can be read from; or no geom at all.
     """
     found: list[list[tuple[str, np.ndarray, np.ndarray]]] = [[] for _ in range(model.nbody - 1)]
     for geom in np.flatnonzero(model.geom_group < SHOWN):

@@ -1,8 +1,7 @@
-"""A coupled run at one instant: saved, restored to the bit, or given to another fish.
+"""A coupled run at one instant: saved, and restored to the bit.
 
 `save` and `restore` continue a run exactly (on the CPU to the bit; on a GPU the order of atomic additions differs from run to
-run). `reseed` puts a fish of any state into developed flow. The water was spun up once, without a fish or around another one. A
-segment that starts in it needs about a body length of swimming before the wake is that of its own fish.
+run).
 """
 
 from pathlib import Path
@@ -28,11 +27,7 @@ def snapshot(coupled: FluidStructure) -> dict[str, np.ndarray]:
 
 
 def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
-    """Continues from a snapshot.
-
-    Raises:
-        ConfigError: it belongs to another grid or another fish.
-    """
+    """Continues from a snapshot. Raises ConfigError: it belongs to another grid or another fish."""
     body, data = coupled.body, coupled.body.data
     for name, value in (("qpos", data.qpos), ("qvel", data.qvel), ("momentum", body.momentum), ("slide", body.interior_speed)):
         if state[name].shape != value.shape:
@@ -51,15 +46,6 @@ def resume(coupled: FluidStructure, state: dict[str, np.ndarray]) -> None:
     coupled.boundary.wrench.assign(state["wrench"])
 
 
-def reseed(coupled: FluidStructure, qpos, qvel=None, *, water: dict[str, np.ndarray] | None = None) -> None:
-    """Starts a segment with the fish at qpos (and qvel), in `water` (a fluid's snapshot), or in the present water."""
-    if water is not None:
-        coupled.fluid.restore(water)
-    coupled.body.place(qpos, qvel)
-    coupled.gain[:] = 0.0
-    coupled.boundary.wrench.zero_()
-
-
 def save(path: str | Path, coupled: FluidStructure, **notes) -> Path:
     """Writes a snapshot as one file with its own checksum (safetensors, no pickle)."""
     lattice = coupled.fluid.lattice
@@ -70,8 +56,7 @@ def save(path: str | Path, coupled: FluidStructure, **notes) -> Path:
 def load(path: str | Path, coupled: FluidStructure) -> dict:
     """Continues a coupled run from a file; returns its notes.
 
-    Raises:
-        ConfigError: another schema, grid or fish. StoreError: the file is damaged.
+    Raises ConfigError: another schema, grid or fish; StoreError: the file is damaged.
     """
     state, meta = read_tensors(path)
     lattice, shape = coupled.fluid.lattice, list(coupled.fluid.extent)

@@ -48,9 +48,9 @@ def coupled_in(water: Fluid, body: ImmersedBody, markers: Markers) -> FluidStruc
     return coupled
 
 
-def circle_markers(radius: float, dx: float, *, slip=0.0, width: int = 3, hydro_offset: float | None = None) -> Markers:
+def circle_markers(radius: float, dx: float, *, hydro_offset: float | None = None) -> Markers:
     """A circle of `radius` m in the plane z = 0, one cell deep, markers about dx apart."""
-    r = radius - offset_of(width, slip, hydro_offset) * dx
+    r = radius - offset_of(3, 0.0, hydro_offset) * dx
     n = ceil(2 * pi * r / dx)
     turn = 2 * pi * np.arange(n) / n
     unit = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)

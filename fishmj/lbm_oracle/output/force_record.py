@@ -60,8 +60,7 @@ def settled_mean(name: str, values: np.ndarray, seconds: float) -> float:
 def frequency(times: np.ndarray, side: np.ndarray) -> float:
     """Frequency, Hz, of a side force coefficient (T,) at times (T,) s.
 
-    Raises:
-        ConfigError: it does not swing, or not evenly, or for fewer than three periods.
+    Raises ConfigError: it does not swing, or not evenly, or for fewer than three periods.
     """
     swing = side - side.mean()
     strong = float(np.sqrt(2) * swing.std())

@@ -62,8 +62,7 @@ def cut(
 def plane_of(fluid, z: float | None = None) -> np.ndarray:
     """Plane (nx, ny, 3) of u, v in m/s and omega_z in 1/s at height z [m], linear between planes of nodes; None: mid-depth.
 
-    Raises:
-        ConfigError: z lies outside the water.
+    Raises ConfigError: z lies outside the water.
     """
     lattice, (nx, ny, nz) = fluid.lattice, fluid.extent
     height = fluid.origin_lu[2] + (nz - 1) / 2 if z is None else lattice.to_lu((0.0, 0.0, z))[2]

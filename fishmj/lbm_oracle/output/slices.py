@@ -59,11 +59,7 @@ def write_slice(path: str | Path, one: Slice) -> Path:
 
 
 def read_slice(path: str | Path) -> Slice:
-    """Reads a slice; fields come back as float32.
-
-    Raises:
-        StoreError: missing, damaged, or not a slice.
-    """
+    """Reads a slice; fields come back as float32. Raises StoreError: missing, damaged, or not a slice."""
     held = read_npz(path)
     lacking = [name for name in Slice._fields if name not in held]
     if lacking:
@@ -78,11 +74,7 @@ def read_slice(path: str | Path) -> Slice:
 
 
 def slices_in(folder: str | Path) -> list[Path]:
-    """Slices of a run in the order of time.
-
-    Raises:
-        ConfigError: the folder holds none, or none of this schema.
-    """
+    """Slices of a run in the order of time. Raises ConfigError: the folder holds none, or none of this schema."""
     folder = Path(folder)
     if not (folder / INDEX).is_file():
         raise ConfigError(f"{folder}: no {INDEX}; expected a folder written by `fishmj lbm_oracle swim --fields FOLDER`")
@@ -96,11 +88,7 @@ def slices_in(folder: str | Path) -> list[Path]:
 
 
 def height(text: str) -> float | None:
-    """Height in m, or None for `mid`.
-
-    Raises:
-        ArgumentTypeError: neither.
-    """
+    """Height in m, or None for `mid`. Raises ArgumentTypeError: neither."""
     if text == "mid":
         return None
     try:

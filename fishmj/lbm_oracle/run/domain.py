@@ -186,10 +186,7 @@ EVERY = NAMES + REFINED
 
 def preset(name: str) -> Domain:
     """Box by name: paper, forcemap, flow_tank, window, window_fine, window_coarse, laptop; paper_refined, paper_refined_twice
-    and so on.
-
-    Raises:
-        UnknownName: no box of that name.
+    and so on. Raises UnknownName: no box of that name.
     """
     table = _presets() | _refined()
     return table[checked_name("domain", name, table)]

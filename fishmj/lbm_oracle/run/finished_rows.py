@@ -28,8 +28,7 @@ class FinishedRows:
     Args:
         columns: the first `keyed` of them are a row's key. source: command that made the rows.
 
-    Raises:
-        ConfigError: the folder holds another set-up. StoreError: a file there is damaged.
+    Raises ConfigError: the folder holds another set-up; StoreError: a file there is damaged.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], keyed: int, setup: dict, source: str):

@@ -67,11 +67,7 @@ class TickSource(Protocol):
 
 
 class HostTick:
-    """Tick of `turns` steps by the host.
-
-    Attributes:
-        turns: number of calls of `advance` in the tick.
-    """
+    """Tick of `turns` steps by the host. turns: number of calls of `advance` in the tick."""
 
     def __init__(self, coupled: FluidStructure, driver: JointDriver, watch: StabilityMonitor, turns: int):
         self.coupled, self.driver, self.watch, self.turns = coupled, driver, watch, turns

@@ -84,8 +84,7 @@ class Run:
             a window that does not move. The water is then one tick ahead of the fish, and `FluidStructure.scope` refuses to
             show it. A fish whose speed doubles within one tick gets finer steps one tick later.
 
-    Raises:
-        ConfigError: a bus tick is not a whole number of steps of the water, on every level, or an invalid latency.
+    Raises ConfigError: a bus tick is not a whole number of steps of the water, on every level, or an invalid latency.
     """
 
     root: Callable[[float], np.ndarray] | None = None
@@ -254,8 +253,7 @@ class Run:
     def _redo_tick(self, kept: TickState) -> Generator[None, None, Tick]:
         """Repeats the tick from its checkpoint with finer steps; counted in `refined`.
 
-        Raises:
-            OracleUnstable: too fast for the finest steps too. SimDiverged: the time step was not the cause.
+        Raises OracleUnstable: too fast for the finest steps too; SimDiverged: the time step was not the cause.
         """
         self.coupled.wait_for_water()  # the survey at the last tick's end is judged first
         done = yield from self._refinement.redo(kept, self._factors(), self._run_tick)
@@ -270,8 +268,7 @@ class Run:
 
         If the water ended too fast for that tick's steps, faster than any marker, this tick needs finer ones.
 
-        Raises:
-            OracleUnstable: speed was not the cause, or its steps were the finest.
+        Raises OracleUnstable: speed was not the cause, or its steps were the finest.
         """
         try:
             self.watch.end()
@@ -306,8 +303,7 @@ class Run:
 
         If a run stopped because water that failed threw the fish faster than a log allows, those last ticks are left out.
 
-        Raises:
-            LogError: nothing was recorded yet.
+        Raises LogError: nothing was recorded yet.
         """
         return trial_of(self)
 
@@ -335,9 +331,7 @@ class ConcurrentRuns:
     def tick(self, commands=None) -> list[int]:
         """Advances all runs by one bus tick; commands (B, J) rad, or None for prescribed joints.
 
-        Returns the indices still swimming.
-
-        Raises ConfigError if there is not one command for every tank.
+        Returns the indices still swimming. Raises ConfigError if there is not one command for every tank.
         """
         for _ in self.ticking(commands):
             pass

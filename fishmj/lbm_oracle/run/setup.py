@@ -57,9 +57,9 @@ class Gait:
             numbers(f"gait: {name}", value, np.shape(value))
 
     @classmethod
-    def of_the_paper(cls, second: bool = True, joints: int = 3) -> "Gait":
-        """Calibration swim of the paper: 1 Hz, 30 deg on all joints; `second` with 60 deg lag, otherwise in phase."""
-        lag = constant("calibration", "phase_lag_second_deg" if second else "phase_lag_deg")[0]
+    def of_the_paper(cls, joints: int = 3) -> "Gait":
+        """Calibration swim of the paper: 1 Hz, 30 deg on all joints, 60 deg lag."""
+        lag = constant("calibration", "phase_lag_second_deg")[0]
         amplitude = radians(constant("calibration", "amplitude_deg"))
         return cls(joints=joints, frequency=constant("calibration", "frequency"), amplitude=amplitude, lag=radians(lag))
 
@@ -141,8 +141,7 @@ class SwimSetup:
     def coupled(self, body: ImmersedBody | None = None) -> FluidStructure:
         """Fish and water as `assembled`, with the fish of the description unless another body of its links is given.
 
-        Raises:
-            OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
+        Raises OracleUnstable: the set-up would not run, or the fish does not fit into the box with its margin.
         """
         domain = self.domain.body_level
         made = self.assembled(body or ImmersedBody.of(self.robot, self.root, domain.dt))

@@ -31,8 +31,7 @@ def agree(
         tanks: number of boxes side by side.
         asked: the user has already agreed to the time.
 
-    Raises:
-        TooMuch: the user did not agree.
+    Raises TooMuch: the user did not agree.
     """
     work = list(work)
     if device.startswith("cuda") or not work:

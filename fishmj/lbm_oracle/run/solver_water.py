@@ -57,8 +57,7 @@ def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> N
 def study_slips(who: str, slips: list[float] | None, boundary: str, usual: Iterable[float]) -> list[float]:
     """Slip ratios of a study: those given, else the usual ones; 1 alone with a boundary that sets them.
 
-    Raises:
-        ConfigError: slip ratios beside such a boundary.
+    Raises ConfigError: slip ratios beside such a boundary.
     """
     if BOUNDARIES[boundary].law_height is None:
         return list(usual if slips is None else slips)
@@ -126,8 +125,7 @@ def asked_for(
         domain, slip, boundary, storage, dx: the options, None if not given.
         plain: the verb's default box.
 
-    Raises:
-        ConfigError: the reference together with another box, slip ratio or boundary, or a slip ratio beside `wall_stress`.
+    Raises ConfigError: the reference together with another box, slip ratio or boundary, or a slip ratio beside `wall_stress`.
     """
     if not reference:
         box, edge = domain or plain or PLAIN.domain, BOUNDARIES[boundary or "plain"]

@@ -75,8 +75,7 @@ def side_by_side(
         start: makes the run of a key.
         go_on: called after every round with the simulated seconds of the unfinished runs; False drops these and ends.
 
-    Raises:
-        ConfigError: fewer than one tank.
+    Raises ConfigError: fewer than one tank.
     """
     if tanks < 1:
         raise ConfigError(f"{tanks} tanks side by side; expected at least 1")
@@ -107,8 +106,7 @@ def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn 
             module (or a `partial` of one) is. Results are not in the order of the keys.
         go_on: called often with the progress that `work` reports of unfinished keys, summed over devices; False ends the work.
 
-    Raises:
-        ConfigError: something cannot be sent to a process, or a process died. All errors of `work`.
+    Raises ConfigError: something cannot be sent to a process, or a process died. All errors of `work`.
     """
     todo = keys if isinstance(keys, deque) else deque(keys)
     if len(devices) == 1 or len(todo) == 1:
@@ -130,8 +128,7 @@ def spread(work: Work, keys: Iterable[Any], devices: Sequence[str], go_on: GoOn 
 def ray_device(asked: str) -> str:
     """Device of every worker of a Ray cluster, which sees only its own.
 
-    Raises:
-        ConfigError: several devices; a worker has one, and there is one worker for every GPU.
+    Raises ConfigError: several devices; a worker has one, and there is one worker for every GPU.
     """
     if several(asked):
         raise ConfigError(f"--device {asked} with --ray: a worker has one device, and each GPU gets a worker; use --device cuda")
@@ -147,8 +144,7 @@ def spread_over_ray(
         work: its results are tuples that begin with their key.
         keys: hashable keys by their names in messages. device: of every worker, as `ray_device` returns it.
 
-    Raises:
-        ConfigError: keys that no worker ended, when all others are yielded. Errors as `RayCluster.spread`.
+    Raises ConfigError: keys that no worker ended, when all others are yielded. Errors as `RayCluster.spread`.
     """
     cluster, waiting = RayCluster(address), deque(RayTask(name, key) for name, key in keys.items())
     for _, found in cluster.spread(
@@ -214,20 +210,20 @@ def _serve_processes(side: list[_Process], todo: deque, go_on: GoOn) -> Iterator
         ready = wait([one.pipe for one in busy], timeout=LOOK)
         for one in (one for one in busy if one.pipe in ready):
             try:
-                said = one.pipe.recv()
-                if said.what == "want":
+                answer = one.pipe.recv()
+                if answer.what == "want":
                     _send_key(one, side, todo)
             except (EOFError, OSError) as error:
                 raise one.died() from error
-            if said.what == "made":
+            if answer.what == "made":
                 one.held, one.done = one.held - 1, 0.0
-                yield said.value
-            elif said.what == "done":
-                one.done = said.value
-            elif said.what == "end":
+                yield answer.value
+            elif answer.what == "done":
+                one.done = answer.value
+            elif answer.what == "end":
                 one.ended = True
-            elif said.what != "want":
-                raise _error_of(one.device, said)
+            elif answer.what != "want":
+                raise _error_of(one.device, answer)
         if not go_on(sum(one.done for one in side)):
             return
 

@@ -125,10 +125,7 @@ class Refinement:
     def redo(self, kept: TickState, factors: tuple[int, ...], steps: Steps) -> Generator[None, None, Tick | None]:
         """Repeats the tick from its checkpoint with the first of `factors` that is fine enough.
 
-        None: a marker is too fast for all.
-
-        Raises:
-            SimDiverged, OracleUnstable: the error of the finest steps.
+        None: a marker is too fast for all. Raises SimDiverged, OracleUnstable: the error of the finest steps.
         """
         for factor in factors:
             restore(self.coupled, kept)

@@ -176,11 +176,7 @@ def _near(name: str, known) -> str:
 
 
 def read_map(path: Path) -> ColumnMap:
-    """Reads and checks a map.
-
-    Raises:
-        LogError: one line with the block, the key, what is expected and the nearest known name.
-    """
+    """Reads and checks a map. Raises LogError: one line with the block, the key, what is expected and the nearest known name."""
     return of_dict(map_table(path), str(path))
 
 

@@ -155,18 +155,18 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
 def angle_unit(values: np.ndarray) -> tuple[str, str]:
     """Unit of joint angles (all of one family together), and the reason."""
     most = _most(values)
-    told = f"up to {most:.3g}"
+    message = f"up to {most:.3g}"
     if most == 0:
         return "rad", "all zero"
     if most < TINY_ANGLE:
-        return "", f"{told}: rad or deg?"
+        return "", f"{message}: rad or deg?"
     if most <= RAD:
-        return "rad", told
+        return "rad", message
     if most <= DEG:
-        return "", f"{told}: rad or deg?"
+        return "", f"{message}: rad or deg?"
     if end := _from_end([values]):
         return "", end
-    return ("deg", told) if most <= COUNTS else ("", f"{told}: a servo's counts, or degrees from its end? {TICKS}")
+    return ("deg", message) if most <= COUNTS else ("", f"{message}: a servo's counts, or degrees from its end? {TICKS}")
 
 
 def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
@@ -203,10 +203,10 @@ def spread(values: Sequence[np.ndarray]) -> float:
 def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     """Unit of positions (x and y together), and the reason; the offset of the first row is ignored."""
     far = spread(values)
-    told = f"spread {far:.3g}"
+    message = f"spread {far:.3g}"
     if far <= bounds_of({}, "").tank:
-        return "m", told
-    return "", f"{told}: m or cm?" if far <= FLUTTER else f"{told}: mm, cm, px or m?"
+        return "m", message
+    return "", f"{message}: m or cm?" if far <= FLUTTER else f"{message}: mm, cm, px or m?"
 
 
 def other_axis(unit: str, said: Sequence[np.ndarray], silent: Sequence[np.ndarray]) -> tuple[str, str]:
@@ -276,8 +276,8 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
     if not value or span[0] <= value <= span[1] or not fits:
         return "", ()
     allowed = f"{span[0]:g} to {span[1]:g}" if span[0] else f"at most {span[1]:g}"
-    told = f'the name says {unit}, which makes it {value:.4g} {SI[what]}, plausible is {allowed}; in a map unit = "{fits[0]}"'
-    return told, (*fits, unit)
+    message = f'the name says {unit}, which makes it {value:.4g} {SI[what]}, plausible is {allowed}; in a map unit = "{fits[0]}"'
+    return message, (*fits, unit)
 
 
 def _stamps_against(unit: str, t: np.ndarray) -> str:
@@ -303,8 +303,8 @@ def _from_end(values: Sequence[np.ndarray]) -> str:
     low, middle = (float(np.quantile(found, q)) for q in (0.001, 0.5)) if len(found) else (0.0, 0.0)
     if not (20 < low < middle and 45 < middle < 200):
         return ""
-    told = f"{low:.3g} to {_most(found):.4g} deg, never straight: counted from the servo's end?"
-    return f'{told} In a map say unit = "deg", zero = {round(middle / 45) * 45:d}'
+    message = f"{low:.3g} to {_most(found):.4g} deg, never straight: counted from the servo's end?"
+    return f'{message} In a map say unit = "deg", zero = {round(middle / 45) * 45:d}'
 
 
 def _extent(values: np.ndarray) -> float:

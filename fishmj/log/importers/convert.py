@@ -72,13 +72,13 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
     name, unit = quoted(source.column), source.unit or SI[what]
     scaled = f" times {source.scale:g}" if source.scale != 1 else ""
     allow = f"; if it is right, allow it with --plausible {doubt.bound}=..."
-    told = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.told}"
+    text = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.told}"
     fits = fitting(what, doubt.value, unit, doubt.span) if not scaled else []
     if not fits:
-        return f"{told}. Mend its scale, zero or unit in the map{allow}"
+        return f"{text}. Mend its scale, zero or unit in the map{allow}"
     line = f"{place if place == 't' else f'columns.{doubt.column}'} = {toml.inline({'column': source.column, 'unit': fits[0]})}"
     units = " or ".join(f'"{unit}"' for unit in fits)
-    return f"{told}. Say unit = {units}: {line} in the map, or --set {name[1:-1]}={place}:{fits[0]}{allow}"
+    return f"{text}. Say unit = {units}: {line} in the map, or --set {name[1:-1]}={place}:{fits[0]}{allow}"
 
 
 def _sources(entry: TableMap) -> list[str]:
@@ -87,11 +87,7 @@ def _sources(entry: TableMap) -> list[str]:
 
 
 def _sheet(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> Sheet:
-    """The one sheet that holds all columns of a table.
-
-    Raises:
-        LogError: none holds them all, or several do.
-    """
+    """The one sheet that holds all columns of a table. Raises LogError: none holds them all, or several do."""
     wanted = set(_sources(entry))
     fitting = [sheet for sheet in sheets if wanted <= set(sheet.columns) and (entry.file is None or _fits(sheet, entry.file))]
     if len(fitting) > 1 and (whole := _of_parts(fitting, entry)):
@@ -292,10 +288,10 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
     stray = ahead if ahead.sum() < behind.sum() else behind
     first = int(np.flatnonzero(behind)[0])
     step = "stands still" if t[first] == t[first - 1] else "goes back"
-    told = f"{sheet.place(int(rows[first]), column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
+    text = f"{sheet.place(int(rows[first]), column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
     repeats = int(np.sum(np.diff(t) == 0))
     if repeats == int(behind.sum()) and repeats <= 0.5 * len(t):  # stamps coarser than the rate, or rows sent twice
-        return np.flatnonzero(~behind), [f"{table}: {told}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
+        return np.flatnonzero(~behind), [f"{table}: {text}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
     if stray.sum() > max(1, STRAY * len(t)) or len(t) - stray.sum() < 2:
         often = int(np.sum(np.diff(t) < 0))
         if repeats > 0.5 * len(t):
@@ -304,15 +300,14 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
             advice = "The clock was set or the logger began again: split the file there, or name another column of time"
         else:
             advice = "Sort the rows by time, or name another column of time"
-        raise LogError(f"{told}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
-    return np.flatnonzero(~stray), [f"{table}: {told}; {int(stray.sum())} such row(s) left out"]
+        raise LogError(f"{text}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
+    return np.flatnonzero(~stray), [f"{table}: {text}; {int(stray.sum())} such row(s) left out"]
 
 
 def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
     """Refuses tables of one swim without a common instant; commands may be sent a minute ahead of it.
 
-    Raises:
-        LogError: names the tables, and the offset that would align them.
+    Raises LogError: names the tables, and the offset that would align them.
     """
     spans = {table: (float(columns["t"][0]), float(columns["t"][-1])) for table, columns in tables.items()}
     for early, (_, end) in spans.items():

@@ -57,11 +57,7 @@ def converted(encoding: str) -> str:
 
 
 def read_json(where: str, data: bytes) -> dict:
-    """Parses one JSON message to a dictionary of named fields.
-
-    Raises:
-        LogError: not valid JSON, or not an object.
-    """
+    """Parses one JSON message to a dictionary of named fields. Raises LogError: not valid JSON, or not an object."""
     try:
         content = json.loads(data)
     except (ValueError, RecursionError) as error:

@@ -38,8 +38,7 @@ _COMMENTS = ("#", "%", "//")
 def read(path: Path) -> Sheet:
     """Reads one text table.
 
-    Raises:
-        LogError: at file:line, with the fault and the fix: empty, binary, no header, a name twice, rows of different length.
+    Raises LogError: at file:line, with the fault and the fix: empty, binary, no header, a name twice, rows of different length.
     """
     regular(path)
     encoding, notes = _encoding(path)
@@ -210,11 +209,7 @@ class _Reader:
         )
 
     def sheet(self, notes: list[str]) -> Sheet:
-        """The sheet of all rows.
-
-        Raises:
-            LogError: too many rows of another length, or a column of numbers with two readings.
-        """
+        """The sheet of all rows. Raises LogError: too many rows of another length, or a column of numbers with two readings."""
         if len(self.odd) > max(1, BAD_ROWS * len(self.lines)) or (self.odd and not self.lines):
             self._refuse_odd()
         name = self.path.name

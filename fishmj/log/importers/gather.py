@@ -50,11 +50,7 @@ class FileCache:
     _size: float = 0.0
 
     def sheets(self, path: Path) -> list[Sheet]:
-        """The sheets of one file.
-
-        Raises:
-            FishmjError: the file cannot be read.
-        """
+        """The sheets of one file. Raises FishmjError: the file cannot be read."""
         if path in self._kept:
             return self._kept[path]
         found = [with_headings(sheet) for sheet in read_sheets(path)]
@@ -137,8 +133,7 @@ def plan(sources: Sequence[Path], cache: FileCache, *, together: bool | None = N
     Args:
         together: the files of one folder are one trial (True), a trial each (False), or by the rule (None).
 
-    Raises:
-        LogError: a source is absent or given twice, or the rule does not decide.
+    Raises LogError: a source is absent or given twice, or the rule does not decide.
     """
     items: list[Item] = []
     notes: list[str] = []
@@ -159,8 +154,7 @@ def plan(sources: Sequence[Path], cache: FileCache, *, together: bool | None = N
 def tags_of(sources: Sequence[Path]) -> dict[Path, str]:
     """A name for each source: its own, with as many parents in front as tell them all apart.
 
-    Raises:
-        LogError: one is given twice.
+    Raises LogError: one is given twice.
     """
     parts = {source: [names.nearest(part) or "root" for part in source.resolve().parts] for source in sources}
     if len({source.resolve() for source in sources}) < len(sources):
@@ -335,8 +329,7 @@ def read_own(folder: Path, called: dict[Path, str]) -> Trial:
 def excitations(texts: Sequence[str]) -> dict[str, str]:
     """Names of experiments by trial, "" for every other trial, from `NAME` and `TRIAL=NAME`.
 
-    Raises:
-        ConfigError: a name that may not stand in a path. UsageError: two names for one trial, or for all.
+    Raises ConfigError: a name that may not stand in a path; UsageError: two names for one trial, or for all.
     """
     found: dict[str, str] = {}
     for text in texts:

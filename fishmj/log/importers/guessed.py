@@ -24,11 +24,7 @@ def unclear(guesses: Iterable[Guess]) -> list[Guess]:
 
 
 def map_of(guesses: Sequence[Guess], found: Sequence[FileKind], meta: dict, where: str) -> ColumnMap:
-    """Map from the guesses, without unclear ones.
-
-    Raises:
-        LogError: nothing is left.
-    """
+    """Map from the guesses, without unclear ones. Raises LogError: nothing is left."""
     tables: dict[str, dict] = {}
     for k in range(len(found)):
         mine = [g for g in guesses if g.kind == k and g.state == TAKEN]
@@ -67,8 +63,8 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
             f'{where}: no column of time among {names}; say which with --set "NAME=t:ms", or in a map t = '
             f'{{ column = "frame", scale = 0.01 }}'
         )
-    told = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
-    return f"{where}: no column was recognised ({told}); write a map (docs/search/logs.md) and import with --columns MAP.toml"
+    text = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
+    return f"{where}: no column was recognised ({text}); write a map (docs/search/logs.md) and import with --columns MAP.toml"
 
 
 def choices(g: Guess) -> str:
@@ -130,15 +126,14 @@ def first_unclear(found: Guesses) -> str:
 def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     """Checks that nothing is unclear and that the user agrees, by `yes` or on the terminal.
 
-    Raises:
-        LogError: a column is unclear, or the user does not agree.
+    Raises LogError: a column is unclear, or the user does not agree.
     """
     doubts = [(f"{bare(kinds[g.kind].sheets[0].name)}: " * (len(kinds) > 1), g) for kinds, made in found for g in unclear(made)]
     if doubts:
-        told = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for file, g in doubts[:4])
+        text = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for file, g in doubts[:4])
         more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
         raise LogError(
-            f"{source}: {len(doubts)} column(s) unclear: {told}{more}; or COLUMN=skip; or --write-map "
+            f"{source}: {len(doubts)} column(s) unclear: {text}{more}; or COLUMN=skip; or --write-map "
             "MAP.toml, mend it, --columns MAP.toml"
         )
     if yes or all(_certain(g) for _, made in found for g in made):

@@ -49,8 +49,7 @@ def by_name(where: str, columns: Table, names: Mapping[str, Sequence[str]]) -> T
     Args:
         names: column of names -> name in each row, "" for a blank cell.
 
-    Raises:
-        LogError: a value stands beside a blank name.
+    Raises LogError: a value stands beside a blank name.
     """
     out = dict(columns)
     for column, cells in names.items():

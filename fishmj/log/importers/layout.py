@@ -67,8 +67,7 @@ def find(path, head: Lines, comment: str, said: str) -> Layout:
     Args:
         comment: the last line of comment above them, without its mark. said: the separator that the file itself states, or "".
 
-    Raises:
-        LogError: at file:line, one column only, no names, or a name twice.
+    Raises LogError: at file:line, one column only, no names, or a name twice.
     """
     mark, first = _rows(head, [said] if said else list(SEPARATORS))
     if not mark:

@@ -35,8 +35,7 @@ def sniff(path: Path) -> bool:
 def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """One trial, named after the file.
 
-    Raises:
-        MissingExtra: the package mcap is not installed. LogError: damaged file, unknown topic or field, wrong values.
+    Raises MissingExtra: the package mcap is not installed; LogError: damaged file, unknown topic or field, wrong values.
     """
     beside = path.with_suffix(".toml")
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
@@ -76,8 +75,7 @@ def carried(path: Path) -> dict | None:
 def channels(path: Path, needed: set[str] | None = None) -> Found:
     """The messages of every topic in `needed` (all if None), in the file's order.
 
-    Raises:
-        LogError: damaged, cut off, or larger unpacked than the limit. MissingExtra: the package mcap is not installed.
+    Raises LogError: damaged, cut off, or larger unpacked than the limit. MissingExtra: the package mcap is not installed.
     """
     regular(path)
     found: Found = {}

@@ -50,8 +50,7 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, no
         own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
         notes: remarks of the file's reader.
 
-    Raises:
-        LogError: a topic, field or value does not match the mapping; file:topic[message]:field.
+    Raises LogError: a topic, field or value does not match the mapping; file:topic[message]:field.
     """
     stamps, columns, told = {}, {}, []
     for name, entry in wanted.tables.items():
@@ -216,8 +215,7 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
 def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
     """Sheets of all topics whose messages hold numbers, spread over columns: `pose.position.x`; stamps as s since 1970.
 
-    Raises:
-        LogError: no such topic, or a message that does not decode.
+    Raises LogError: no such topic, or a message that does not decode.
     """
     rows: dict[str, _Rows] = {}
     notes = list(notes)
@@ -235,8 +233,8 @@ def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
         else:
             notes.append(f"{topic}: no number in its {len(channel.messages)} messages; left out")
     if not rows:
-        said = f" ({'; '.join(notes)[:300]})" if notes else ""
-        raise LogError(f"{path}: no topic with numbers; it has {listed(found)}{said}")
+        text = f" ({'; '.join(notes)[:300]})" if notes else ""
+        raise LogError(f"{path}: no topic with numbers; it has {listed(found)}{text}")
     foreign = {topic for topic, read in rows.items() if abs(read.ahead) > DAY}
     for topic in sorted(foreign) if foreign < set(rows) else ():
         notes.append(f"{topic}: the stamps of its headers are on another clock; stamped by its receipt, as other topics are")
@@ -407,8 +405,7 @@ def _is_joint_state(content: dict) -> bool:
 def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
     """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by position if it has none.
 
-    Raises:
-        LogError: a name appears twice, or there are positions for some of the names only.
+    Raises LogError: a name appears twice, or there are positions for some of the names only.
     """
     names = _names(content) or []
     if len(set(names)) < len(names):
@@ -432,8 +429,7 @@ def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
 def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
     """Columns `command.NAME` by the message's own names: the angles of its first point.
 
-    Raises:
-        LogError: there are angles for some of the names only.
+    Raises LogError: there are angles for some of the names only.
     """
     names, points = _names(content) or [], content.get("points") or [{}]
     values = points[0].get("positions") or []

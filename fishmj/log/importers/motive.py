@@ -29,8 +29,7 @@ def settings(first: Sequence[str]) -> tuple[tuple[str, str], ...]:
 def names(path, line: int, rows: Sequence[Sequence[str]]) -> list[str]:
     """Column names `body Position X`, ..: object, quantity and axis; `rows` are those between settings and frames.
 
-    Raises:
-        LogError: the rows of titles are missing.
+    Raises LogError: the rows of titles are missing.
     """
     rows = [row for row in rows if any(row)]
     types = next((k for k, row in enumerate(rows) if any("Rigid Body" in c or "Marker" in c or "Bone" in c for c in row[2:])), -1)
@@ -50,8 +49,7 @@ def names(path, line: int, rows: Sequence[Sequence[str]]) -> list[str]:
 def in_plane(sheet: Sheet, told: Sequence[tuple[str, str]]) -> Sheet:
     """Sheet with x, y [and yaw] of every body and marker in the horizontal plane in place of its columns in space.
 
-    Raises:
-        LogError: rotations are no quaternions, or the motion does not show the upward axis.
+    Raises LogError: rotations are no quaternions, or the motion does not show the upward axis.
     """
     said = dict(told)
     columns = sheet.columns

@@ -24,8 +24,7 @@ _NUMBERED = re.compile(r"(.*?)\[?([0-4])\]?", re.DOTALL)
 def with_headings(sheet: Sheet) -> Sheet:
     """Sheet with a column `<prefix>yaw` [rad] in place of each quaternion's four; rows without a rotation are blank.
 
-    Raises:
-        LogError: four numbered columns form a quaternion with an unknown place of w; or a norm is not 1.
+    Raises LogError: four numbered columns form a quaternion with an unknown place of w; or a norm is not 1.
     """
     for column in list(sheet.columns):
         for pattern in (_LAST, _FIRST):
@@ -43,8 +42,7 @@ def with_headings(sheet: Sheet) -> Sheet:
 def heading(q: np.ndarray, where: str) -> tuple[np.ndarray, str]:
     """Headings [rad] of quaternions (T, 4) in the order x, y, z, w, NaN if all four are 0 or one is blank; and a doubt or "".
 
-    Raises:
-        LogError: a norm is neither 0 nor 1.
+    Raises LogError: a norm is neither 0 nor 1.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         norm = np.sqrt(np.sum(q**2, axis=1))

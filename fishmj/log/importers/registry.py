@@ -81,8 +81,7 @@ def each(path: Path, name: str) -> tuple[dict[str, Trial], dict[str, str]]:
 def sniff(path: str | Path) -> str:
     """The name of the format that `path` is in.
 
-    Raises:
-        LogError: there is no such file or folder, or no format fits; the formats are listed.
+    Raises LogError: there is no such file or folder, or no format fits; the formats are listed.
     """
     path = Path(path)
     if not path.exists():
@@ -93,8 +92,8 @@ def sniff(path: str | Path) -> str:
                 return name
         except OSError as error:
             raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
-    told = "; ".join(f"{name}: {importer.about}" for name, importer in FORMATS.items())
-    raise LogError(f"{path}: none of the known formats ({told}). Say which with --format, or write a trial folder")
+    text = "; ".join(f"{name}: {importer.about}" for name, importer in FORMATS.items())
+    raise LogError(f"{path}: none of the known formats ({text}). Say which with --format, or write a trial folder")
 
 
 Advised = Callable[[str, Implausible], str]  # (table, doubt) -> one line
@@ -165,8 +164,7 @@ def trial_of(
     Args:
         advised: advice for an implausible value of a table whose source columns can be corrected.
 
-    Raises:
-        LogError: a table breaks the schema; the message begins with the place in the source file.
+    Raises LogError: a table breaks the schema; the message begins with the place in the source file.
     """
     found, bounds, tables = list(notes), bounds_of(meta, name), dict(tables)
     for table in (table for table in UNREAD if table in tables):

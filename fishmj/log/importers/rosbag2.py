@@ -45,8 +45,7 @@ def sniff(path: Path) -> bool:
 def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     """Reads one trial, named after the bag, by a topic mapping or by topics named like tables.
 
-    Raises:
-        LogError: damaged, no such topic, or values that do not match the mapping. MissingExtra: rosbags is absent.
+    Raises LogError: damaged, no such topic, or values that do not match the mapping. MissingExtra: rosbags is absent.
     """
     wanted = read_topics(topics) if topics else None
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
@@ -61,8 +60,7 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
 def channels(path: Path, needed: set[str] | None = None) -> Found:
     """The messages of every topic in `needed` (all if None), in the order of their receipt.
 
-    Raises:
-        LogError: a part is absent, damaged or of another recording; or a topic changes its type.
+    Raises LogError: a part is absent, damaged or of another recording; or a topic changes its type.
     """
     found: Found = {}
     end = None
@@ -103,8 +101,7 @@ def lost(path: Path, found: Found) -> list[str]:
 def _metadata(path: Path) -> dict:
     """Contents of a bag's metadata.yaml; empty without one.
 
-    Raises:
-        LogError: it is no YAML of a bag. MissingExtra: the package rosbags is not installed.
+    Raises LogError: it is no YAML of a bag. MissingExtra: the package rosbags is not installed.
     """
     file = path / METADATA
     if not file.is_file():
@@ -115,12 +112,12 @@ def _metadata(path: Path) -> dict:
     regular(file)
     check_size(file, 1000 * file.stat().st_size)
     try:
-        told = YAML(typ="safe", pure=True).load(file.read_bytes())["rosbag2_bagfile_information"]
-        [str(name) for name in told.get("relative_file_paths") or ()]
-        [(entry["topic_metadata"]["name"], entry["message_count"]) for entry in told.get("topics_with_message_count") or ()]
+        info = YAML(typ="safe", pure=True).load(file.read_bytes())["rosbag2_bagfile_information"]
+        [str(name) for name in info.get("relative_file_paths") or ()]
+        [(entry["topic_metadata"]["name"], entry["message_count"]) for entry in info.get("topics_with_message_count") or ()]
     except (YAMLError, RecursionError, *DAMAGE) as error:
         raise LogError(f"{file}: damaged, or not of a bag ({bare(error, 100)}); write it again with ros2 bag reindex") from error
-    return told
+    return info
 
 
 def _files(path: Path) -> list[Path]:
@@ -137,11 +134,7 @@ def _is_split(files: list[Path]) -> bool:
 
 
 def _parts(path: Path) -> list[Path]:
-    """The files of a bag.
-
-    Raises:
-        LogError: they differ from the list in its metadata.yaml.
-    """
+    """The files of a bag. Raises LogError: they differ from the list in its metadata.yaml."""
     files = _files(path)
     listed = {str(name).replace("\\", "/").rpartition("/")[2].removesuffix(PACKED) for name in _listed(path)}
     names = {file.name.removesuffix(PACKED) for file in files}
@@ -179,8 +172,7 @@ def _channels(path: Path, needed: set[str] | None) -> Found:
 def _whole(path: Path) -> Iterator[Path]:
     """The file itself; or a copy that is unpacked, or completed from the recorder's write-ahead log.
 
-    Raises:
-        LogError: a file beside it, which holds a part of the database, is not finished or absent.
+    Raises LogError: a file beside it, which holds a part of the database, is not finished or absent.
     """
     log, shared, journal = (path.with_name(path.name + end) for end in ("-wal", "-shm", "-journal"))
     packed, logged = path.suffix == PACKED, path.suffix == SUFFIX and log.is_file() and log.stat().st_size > 0
@@ -272,8 +264,8 @@ def _database(path: Path, needed: set[str] | None) -> Found:
             if not {"topics", "messages"} <= tables:
                 has = ", ".join(map(quoted, sorted(map(str, tables))[:6])) or "none"
                 raise LogError(f"{path}: no rosbag2: tables {has}; expected topics and messages")
-            told = database.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000")
-            for number, name, kind, encoding in told:
+            rows = database.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 10000")
+            for number, name, kind, encoding in rows:
                 if not isinstance(number, int) or not all(isinstance(v, str) for v in (name, kind, encoding)):
                     raise LogError(f"{path}: table topics holds {quoted((number, name, kind, encoding), 80)}; it is damaged")
                 names[number] = name

@@ -13,8 +13,7 @@ from fishmj.log.trial import TABLES, table_spec
 def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
     """Parses `servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` to {column: (place, unit, scale)}.
 
-    Raises:
-        LogError: no such table, column or unit, with the nearest.
+    Raises LogError: no such table, column or unit, with the nearest.
     """
     out = {}
     for text in texts:

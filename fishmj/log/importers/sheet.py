@@ -53,11 +53,7 @@ class Sheet:
 
 
 def checked(sheet: Sheet) -> Sheet:
-    """Sheet with infinite values blanked and noted.
-
-    Raises:
-        LogError: no rows, or no column of numbers.
-    """
+    """Sheet with infinite values blanked and noted. Raises LogError: no rows, or no column of numbers."""
     if not len(sheet):
         raise LogError(f"{sheet.where}: column names but no rows; record it again or remove it")
     notes = []
@@ -82,8 +78,7 @@ def read_parquet(path: Path) -> list[Sheet]:
     A list becomes a column for each of its elements, named as in the meta/info.json of a LeRobot data set. A file with a column
     `episode_index` becomes a sheet for each episode.
 
-    Raises:
-        LogError: damaged, no rows, too many columns, or larger unpacked than the limit. MissingExtra: pyarrow is absent.
+    Raises LogError: damaged, no rows, too many columns, or larger unpacked than the limit. MissingExtra: pyarrow is absent.
     """
     regular(path)
     import pyarrow as pa
@@ -92,12 +87,12 @@ def read_parquet(path: Path) -> list[Sheet]:
     columns, units, notes = {}, {}, []
     try:
         with pq.ParquetFile(path) as file:
-            told = file.metadata
+            metadata = file.metadata
             schema = file.schema_arrow
-            if len(schema) > COLUMNS or told.num_columns > COLUMNS:
-                raise LogError(f"{path}: {told.num_columns} columns; at most {COLUMNS} are read")
-            unpacked = sum(max(told.row_group(i).total_byte_size, 0) for i in range(told.num_row_groups))
-            check_size(path, max(unpacked, 8.0 * told.num_rows * max(told.num_columns, 1)), "unpacks to")
+            if len(schema) > COLUMNS or metadata.num_columns > COLUMNS:
+                raise LogError(f"{path}: {metadata.num_columns} columns; at most {COLUMNS} are read")
+            unpacked = sum(max(metadata.row_group(i).total_byte_size, 0) for i in range(metadata.num_row_groups))
+            check_size(path, max(unpacked, 8.0 * metadata.num_rows * max(metadata.num_columns, 1)), "unpacks to")
             names = [name.strip() for name in schema.names]
             if len(set(names)) < len(names):
                 twice = next(name for name in names if names.count(name) > 1)
@@ -156,11 +151,7 @@ def _is_list(pa, kind) -> bool:
 
 
 def _matrix(pa, path: Path, name: str, batches: list) -> np.ndarray:
-    """Lists of one length (T, K), NaN for null.
-
-    Raises:
-        LogError: the lists differ in length, or one is absent.
-    """
+    """Lists of one length (T, K), NaN for null. Raises LogError: the lists differ in length, or one is absent."""
     from pyarrow import compute
 
     told = [compute.fill_null(compute.list_value_length(batch), 0) for batch in batches]
@@ -211,8 +202,7 @@ def read_tables(path: Path) -> list[Sheet]:
 
     Arrays (T,) become columns, (T, K) become name_1..name_K; others are noted.
 
-    Raises:
-        StoreError: damaged or pickled. LogError: no columns.
+    Raises StoreError: damaged or pickled; LogError: no columns.
     """
     regular(path)
     read = read_tensors(path) if path.suffix.lower() in TORCH else read_npz(path, widened=True)

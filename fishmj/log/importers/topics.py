@@ -71,23 +71,19 @@ def by_name(topics: set[str]) -> Topics:
 
 
 def read_topics(path: str | Path) -> Topics:
-    """Reads the TOML.
-
-    Raises:
-        LogError: not TOML (line and column), or a key, table or unit that is not known (named).
-    """
+    """Reads the TOML. Raises LogError: not TOML (line and column), or a key, table or unit that is not known (named)."""
     path = Path(path)
     try:
         spec = parse_toml(read_text(path), str(path))
     except ConfigError as error:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        told = str(error).removeprefix(f"{path}: ")
-        raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: {told}") from error
+        text = str(error).removeprefix(f"{path}: ")
+        raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: {text}") from error
     unknown = sorted(set(spec) - {"tables", "meta"})
     tables, meta = spec.get("tables"), spec.get("meta", {})
     if unknown or not isinstance(tables, dict) or not tables or not isinstance(meta, dict):
-        told = f"key {unknown[0]!r} is not known" if unknown else "no [tables.<name>]"
-        raise LogError(f"{path}: {told}; expected [meta] and one [tables.<name>] each for some of {', '.join(TABLES)}")
+        text = f"key {unknown[0]!r} is not known" if unknown else "no [tables.<name>]"
+        raise LogError(f"{path}: {text}; expected [meta] and one [tables.<name>] each for some of {', '.join(TABLES)}")
     return Topics({name: _topic(path, name, entry) for name, entry in tables.items()}, meta)
 
 

@@ -43,8 +43,7 @@ class NumberRows:
 def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> NumberRows:
     """Reads numbers in as many columns as one of `layouts` names, separated by `separator` ("" = blanks).
 
-    Raises:
-        LogError: at file:line:column: a number of columns that no layout has, text, a blank, a decimal comma, NaN.
+    Raises LogError: at file:line:column: a number of columns that no layout has, text, a blank, a decimal comma, NaN.
     """
     path = Path(path)
     field = re.compile(rf"[^{re.escape(separator)}]*") if separator else re.compile(r"\S+")
@@ -70,8 +69,7 @@ def read_rows(path: Path, *layouts: tuple[str, ...], separator: str = "") -> Num
 def without_strays(rows: NumberRows, stamp: str) -> tuple[NumberRows, list[str]]:
     """Rows without single strays whose stamp falls behind the rows around them, and a note on these.
 
-    Raises:
-        LogError: more than one row in a hundred (or the only ones) go back: the clock was set, or the rows are not in order.
+    Raises LogError: more than one row in a hundred (or the only ones) go back: the clock was set, or the rows are not in order.
     """
     t = rows.column(stamp)
     ceiling = np.minimum.accumulate(t[::-1])[::-1]  # the smallest stamp from here on: later rows must not fall behind
@@ -81,15 +79,15 @@ def without_strays(rows: NumberRows, stamp: str) -> tuple[NumberRows, list[str]]
     if not len(stray):
         return rows, []
     first = int(behind[0])
-    told = f"{rows.place(first, stamp)}: time goes back: {t[first]:.15g} after {t[first - 1]:.15g}"
+    message = f"{rows.place(first, stamp)}: time goes back: {t[first]:.15g} after {t[first - 1]:.15g}"
     if len(stray) > max(1, STRAY * len(t)) or len(t) - len(stray) < 2:
         raise LogError(
-            f"{told}; {len(stray)} of {len(t)} rows are out of order. "
+            f"{message}; {len(stray)} of {len(t)} rows are out of order. "
             "Sort the rows by time, or split the file where the clock was set"
         )
     keep = np.ones(len(t), bool)
     keep[stray] = False
-    return rows.keep(keep), [f"{told}; {len(stray)} such row(s) left out"]
+    return rows.keep(keep), [f"{message}; {len(stray)} such row(s) left out"]
 
 
 def _spans(field: re.Pattern, line: str, separator: str) -> list[tuple[int, str]]:
@@ -107,8 +105,8 @@ def _layout(path: Path, line: int, count: int, layouts: tuple[tuple[str, ...], .
     for names in layouts:
         if len(names) == count:
             return names
-    told = "; or ".join(f"{len(names)}: {', '.join(names)}" for names in layouts)
-    raise LogError(f"{path}:{line}:1: {count} columns; expected {told}. Is it another format, or another separator?")
+    message = "; or ".join(f"{len(names)}: {', '.join(names)}" for names in layouts)
+    raise LogError(f"{path}:{line}:1: {count} columns; expected {message}. Is it another format, or another separator?")
 
 
 def _number(path: Path, line: int, character: int, text: str, name: str) -> float:

@@ -109,8 +109,8 @@ def _clocks(video: np.ndarray, control: np.ndarray) -> tuple[float, list[str]]:
     rate = (len(control) - 1) / (control[-1] - control[0]) if len(control) > 1 else 0.0
     if not rate:
         return 0.0, []
-    said = (
+    note = (
         f"clocks: the video counts {VIDEO_HZ:g} frames/s, control has {rate:.2f} rows/s "
         f"({len(control)} rows, {round(video[-1] * VIDEO_HZ)} frames): video time may run {VIDEO_HZ / rate:.2f} times too fast"
     )
-    return float(VIDEO_HZ / rate), [said]
+    return float(VIDEO_HZ / rate), [note]

@@ -107,6 +107,6 @@ def _remarks(rows: NumberRows, north: np.ndarray, east: np.ndarray) -> list[str]
         steps = np.abs(np.diff(values))
         step = float(steps[steps > 0].min()) if np.any(steps > 0) else 0.0
         if step >= 0.5 or not step:
-            told = f"steps of {step:g} m" if step else "one value throughout"
-            out.append(f"pose: {name} was printed with six digits: {told}")
+            remark = f"steps of {step:g} m" if step else "one value throughout"
+            out.append(f"pose: {name} was printed with six digits: {remark}")
     return out

@@ -98,8 +98,7 @@ def sheet_file(path: Path) -> DataSheet:
     Keys: `stall_torque = "17 kg cm"`, `no_load_speed = "0.2 s/60deg"`, `voltage = 7.4`, `stall_current = 2.5`. The key `bus`, one
     of servo_buses.BUSES, is optional.
 
-    Raises:
-        ConfigError: a key is missing, unknown or no quantity of its kind. UnknownName: no such bus.
+    Raises ConfigError: a key is missing, unknown or no quantity of its kind; UnknownName: no such bus.
     """
     table = read_toml(path)
     unknown, missing = set(table) - {*SHEET, "name", "bus"}, set(NEEDED) - set(table)
@@ -204,8 +203,7 @@ def gather(
         ask: shows a line and returns the typed text; None without a terminal.
         defaults: take the default of every missing answer, and ask nothing.
 
-    Raises:
-        UsageError: an answer is not valid, or some are missing and there is no terminal to ask on.
+    Raises UsageError: an answer is not valid, or some are missing and there is no terminal to ask on.
     """
     known, origin = dict(known), {}
     wanted = [q for q in QUESTIONS if q.key not in known]

@@ -101,8 +101,7 @@ def read_photo(
         nose: "left" or "right"; by default the end that looks like a head.
         width: the greatest, m; by default `width_ratio` times the greatest height. Widths along the fish are typical ones.
 
-    Raises:
-        ConfigError: no picture, too large a one, a truncated one, no clear outline, ends that look alike, or no scale.
+    Raises ConfigError: no picture, too large a one, a truncated one, no clear outline, ends that look alike, or no scale.
     """
     cv2 = opencv("an outline from a photo")
     picture = _decoded(cv2, path)

@@ -115,8 +115,7 @@ def joints_of(length: float, links: int, head: float | None = None) -> list[floa
 def cut(outline: Outline, joints: list[float]) -> tuple[Link, ...]:
     """Links between the joints [m from the nose], without masses yet (1 kg each).
 
-    Raises:
-        ConfigError: joints do not rise, lie outside the fish or leave a link shorter than a fiftieth of it.
+    Raises ConfigError: joints do not rise, lie outside the fish or leave a link shorter than a fiftieth of it.
     """
     total = round(outline.length, 6)
     edges = [0.0, *(round(x, 5) for x in joints), total]
@@ -147,9 +146,8 @@ def read_sections(path: Path, unit: str | None = None) -> Outline:
     Args:
         unit: of all columns, m, cm, mm or in, unless the header states it (`x [mm]`, `x_mm`, `x (mm)`). Metres by default.
 
-    Raises:
-        ConfigError: with file and line: not a table, a column is missing, a cell is no number, x does not rise from 0, a
-            section is not positive, the fish is implausibly small or large.
+    Raises ConfigError: with file and line: not a table, a column is missing, a cell is no number, x does not rise from 0, a
+    section is not positive, the fish is implausibly small or large.
     """
     text = _text(path)
     first = text.splitlines()[0] if text.strip() else ""

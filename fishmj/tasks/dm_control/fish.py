@@ -63,10 +63,7 @@ def environment(name: Any, random, environment_kwargs, root: str, setting: dict)
 
     `setting` has the options of the task and of `TaskOptions`. Its `water` is as `fishmj.water.choice` names it; "lbm" is the
     flow solver, whose options (domain, slip, device, finer) are in `solver`; those of "hybrid" are in `hybrid`, a
-    `fishmj.engines.hybrid.HybridOptions`.
-
-    Raises:
-        ConfigError, UnknownName: an unknown or invalid option.
+    `fishmj.engines.hybrid.HybridOptions`. Raises ConfigError, UnknownName: an unknown or invalid option.
     """
     setting = dict(setting)
     solver, corrected = setting.pop("solver", None), setting.pop("hybrid", None)

@@ -21,14 +21,14 @@ class HybridPhysics(Physics):
     alone = "the water hybrid"
 
     @classmethod
-    def corrected(cls, rules: TaskSpec, options: Any = None, oracle: Any = None) -> "HybridPhysics":
-        """Straight fish; options: `fishmj.engines.hybrid.HybridOptions`; oracle: a better water other than the flow solver."""
+    def corrected(cls, rules: TaskSpec, options: Any = None) -> "HybridPhysics":
+        """Straight fish; options: `fishmj.engines.hybrid.HybridOptions`."""
         from fishmj.engines.hybrid import Hybrid
 
         setting = rules.setting
         physics = cls.of(rules.robot)
         kind = Flow(turbulence=setting.turbulence, box=BOXES[setting.box])
-        physics.hybrid = Hybrid(rules.robot, options, kind=kind, oracle=oracle)
+        physics.hybrid = Hybrid(rules.robot, options, kind=kind)
         physics._given = physics.swim.params, physics.swim.current
         return physics
 

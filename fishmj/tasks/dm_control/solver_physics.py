@@ -31,8 +31,7 @@ class SolverPhysics(Physics):
     def in_tank(cls, rules: TaskSpec, options: dict) -> "SolverPhysics":
         """Straight fish; `options` are those of `fishmj.engines.lbm.LbmEngine`: domain, slip, device, finer.
 
-        Raises:
-            ConfigError: a robot with effects that cannot act in the solver.
+        Raises ConfigError: a robot with effects that cannot act in the solver.
         """
         physics = cls.of(rules.robot)
         physics._solver, physics._setting = options, rules.setting
@@ -58,8 +57,7 @@ class SolverPhysics(Physics):
     def step(self, n_sub_steps: int = 1) -> None:
         """Advances by physics steps, whole bus ticks only.
 
-        Raises:
-            ConfigError: part of a bus tick. PhysicsError: the fish left the tank, or its water is not finite.
+        Raises ConfigError: part of a bus tick; PhysicsError: the fish left the tank, or its water is not finite.
         """
         s = self.swim
         ticks, part = divmod(n_sub_steps, s.steps)

@@ -54,8 +54,7 @@ def rules_of(task: Any, options: dict) -> TaskSpec:
 
     task: a name, or your own as `module:Name`, `file.py:Name` or class; loading it runs it.
 
-    Raises:
-        ConfigError, UnknownName: an option or a task that does not exist.
+    Raises ConfigError, UnknownName: an option or a task that does not exist.
     """
     task = named(task)
     general, special = options_for(task, options)
@@ -81,9 +80,8 @@ def action_space(rules: TaskSpec) -> spaces.Box:
 def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
     """Starts that `reset(options=...)` fixes, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
 
-    Raises:
-        ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
-            the episode would end at once.
+    Raises ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
+    the episode would end at once.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
     own = getattr(rules.course, "decides", ())
@@ -188,8 +186,7 @@ class FishEnv(_Fish, gymnasium.Env):
         render_mode: None or "rgb_array".
         options: fields of `tasks.episode.TaskOptions` and of the task's course.
 
-    Raises:
-        ConfigError, UnknownName: an invalid argument. ResetNeeded: `step` before the first `reset`.
+    Raises ConfigError, UnknownName: an invalid argument. ResetNeeded: `step` before the first `reset`.
     """
 
     def __init__(self, task: Any = "station_hold", engine=None, render_mode: str | None = None, **options):

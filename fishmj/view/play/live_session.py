@@ -150,11 +150,11 @@ class LiveSession:
         begun = t - self.robot.timing.bus_dt
         slow = begun[:: self.loop.ticks]
         target, obs = (np.array([getattr(c, name) for c in self.chunks]) for name in ("target", "obs"))
-        swum = (begun, t, command, q[:, :3], v[:, :3], q[:, 3:], v[:, 3:], power)
+        motion = (begun, t, command, q[:, :3], v[:, :3], q[:, 3:], v[:, 3:], power)
         random = np.random.default_rng([self.flow.seed, SENSED])
         fish, camera = self._nominal.params, self._nominal.camera
         tables = {
-            **logged(self.robot, *swum, fish, camera, start=self._start, random=random, strength=self.noise),
+            **logged(self.robot, *motion, fish, camera, start=self._start, random=random, strength=self.noise),
             "target": {"t": slow, "x": target[:, 0], "y": target[:, 1]},
             "obs": {"t": slow, **numbered("o#", obs)},
             "flow": {"t": t, **numbered("u#x", flow[..., 0]), **numbered("u#y", flow[..., 1])},

@@ -44,8 +44,7 @@ def options() -> console.Parser:
 def shape_of(trial: Trial, robot: Robot | None = None) -> tuple[Solid, ...]:
     """Links of `robot`, or of the shipped robot that a trial names; () if it names none.
 
-    Raises:
-        ConfigError: the trial has another number of joints than `robot`.
+    Raises ConfigError: the trial has another number of joints than `robot`.
     """
     own = robot or named_robot(trial)
     found = [stacked(trial.tables[n], c) for n, c in (("joint", "j#"), ("truth", "j#"), ("cmd", "c#")) if n in trial.tables]

@@ -30,8 +30,7 @@ ENDS = 5.0  # s that the server may take to end
 class SceneServer:
     """The process that serves the scene (`meshcat_server.py`), on `host` alone; it ends with this one.
 
-    Raises:
-        ConfigError: `host` is no address of this machine. StoreError: the server does not start.
+    Raises ConfigError: `host` is no address of this machine; StoreError: the server does not start.
     """
 
     def __init__(self, host: str = LOCAL):
@@ -63,8 +62,7 @@ def check_host(host: str) -> None:
 class LiveView:
     """A MeshCat scene of one fish, its target and the current. `url` is the page to open, `host` the address that it listens on.
 
-    Raises:
-        MissingExtra: meshcat is not installed. ConfigError: `host` is no address of this machine.
+    Raises MissingExtra: meshcat is not installed; ConfigError: `host` is no address of this machine.
     """
 
     def __init__(self, robot: Robot, host: str = LOCAL):

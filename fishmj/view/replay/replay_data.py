@@ -89,8 +89,7 @@ def named_robot(trial: Trial) -> Robot | None:
 def unlike(trial: Trial, robot: Robot) -> str:
     """Remark on drawing a trial as `robot`; "" if the trial is of that robot, or does not name one.
 
-    Raises:
-        ConfigError: the trial is of a robot of another structure.
+    Raises ConfigError: the trial is of a robot of another structure.
     """
     name, total, joints = (trial.value(key) for key in ("robot", "robot_sha256", "joints"))
     if not name or total == robot_sha256(robot):
@@ -115,8 +114,7 @@ def _sum(total: object) -> str:
 def track(trial: Trial, robot: Robot, fps: float = FPS) -> Track:
     """Resamples a trial for drawing.
 
-    Raises:
-        LogError: no pose, or one that spans more than an hour. ConfigError: the log has another number of joints than `robot`.
+    Raises LogError: no pose, or one that spans more than an hour; ConfigError: the log has another number of joints than `robot`.
     """
     name = trial.name or "trial"
     pose_from = next((n for n in ("truth", "pose") if n in trial.tables), None)
@@ -151,10 +149,10 @@ def _too_long(name: str, table: str, t: np.ndarray) -> str:
     """Error message for a log of more than an hour, with the place to cut it."""
     row = int(np.argmax(np.diff(t)))
     pause = t[row + 1] - t[row]
-    told = f"{name}: table {table!r} spans {t[-1] - t[0]:.6g} s, a replay shows at most {LONGEST:g} s; "
+    text = f"{name}: table {table!r} spans {t[-1] - t[0]:.6g} s, a replay shows at most {LONGEST:g} s; "
     if pause > 0.5 * (t[-1] - t[0] - LONGEST):
-        return told + f"a gap of {pause:.6g} s after t = {t[row]:.6g} s (row {row + 2}): split the trial there"
-    return told + f"split the trial, for example at t = {t[0] + LONGEST:.6g} s"
+        return text + f"a gap of {pause:.6g} s after t = {t[row]:.6g} s (row {row + 2}): split the trial there"
+    return text + f"split the trial, for example at t = {t[0] + LONGEST:.6g} s"
 
 
 def tracks_of(trials: list[Trial], robots: list[Robot]) -> list[Track]:
@@ -246,8 +244,7 @@ class Wake:
 def read_wake(folder: str | Path, trial: Trial, track: Track) -> Wake:
     """The slices of a run that fall into its trial.
 
-    Raises:
-        ConfigError: no slices, or those of another run. StoreError: a damaged one.
+    Raises ConfigError: no slices, or those of another run; StoreError: a damaged one.
     """
     start = float(trial.tables[track.pose_from]["t"][0])
     slices = [read_slice(path) for path in slices_in(folder)]

@@ -32,8 +32,7 @@ def write_mp4(
 
     `fields`: folder with the vorticity slices of the first trial.
 
-    Raises:
-        LogError: no trial, or one without a pose. StoreError: OpenCV could not write the file.
+    Raises LogError: no trial, or one without a pose; StoreError: OpenCV could not write the file.
     """
     cv2 = opencv()
     out = Path(out)

@@ -27,8 +27,7 @@ def turbulence_of_drifts(tracks: Sequence[np.ndarray]) -> Turbulence:
     Args:
         tracks: each (T, 3): t s, x m, y m in the tank frame.
 
-    Raises:
-        ConfigError: fewer than five tracks that last a window.
+    Raises ConfigError: fewer than five tracks that last a window.
     """
     found = [slopes for track in tracks if len(slopes := _slopes(track))]
     if len(found) < FEWEST:

@@ -99,11 +99,7 @@ class FlowMap:
         return min(found), max(found)
 
     def at(self, pump: float) -> TankWater:
-        """Water at a pump setting.
-
-        Raises:
-            ConfigError: outside of the measured settings.
-        """
+        """Water at a pump setting. Raises ConfigError: outside of the measured settings."""
         pumps = [s.pump for s in self.settings]
         if not _between(pump, pumps[0], pumps[-1]):
             span = f"{pumps[0]:g}" if len(pumps) == 1 else f"{pumps[0]:g} to {pumps[-1]:g}"
@@ -120,14 +116,13 @@ class FlowMap:
     def for_speed(self, speed: float) -> TankWater:
         """Water at the setting that makes a mean speed, m/s.
 
-        Raises:
-            ConfigError: slower or faster than all measured settings, or a faster pump makes slower water somewhere.
+        Raises ConfigError: slower or faster than all measured settings, or a faster pump makes slower water somewhere.
         """
         speeds = [s.speed.value for s in self.settings]
         if any(b <= a for a, b in zip(speeds, speeds[1:], strict=False)):
-            told = ", ".join(f"{s.pump:g}: {s.speed.value:.3f} m/s" for s in self.settings)
+            text = ", ".join(f"{s.pump:g}: {s.speed.value:.3f} m/s" for s in self.settings)
             raise ConfigError(
-                f"flow map: the speed does not rise with every setting ({told}); which one makes {speed:g} m/s is not told"
+                f"flow map: the speed does not rise with every setting ({text}); which one makes {speed:g} m/s is not told"
             )
         if not _between(speed, speeds[0], speeds[-1]):
             raise ConfigError(
@@ -147,8 +142,7 @@ class FlowMap:
     def read(cls, path: str | Path) -> "FlowMap":
         """Reads the map of a file.
 
-        Raises:
-            ConfigError: no such file, not TOML, another schema, or a setting with a missing or invalid number.
+        Raises ConfigError: no such file, not TOML, another schema, or a setting with a missing or invalid number.
         """
         table = read_toml(path)
         if table.get("schema") != SCHEMA:

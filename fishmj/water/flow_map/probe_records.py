@@ -34,8 +34,7 @@ def read_probe(path: Path, time: str, components: Sequence[str], factor: float, 
         components: names of the columns of velocity, along x and, if measured, y and z.
         factor: factor from their unit to m/s.
 
-    Raises:
-        LogError: not a table, no such column, times that do not rise, too few rows, or too many spikes.
+    Raises LogError: not a table, no such column, times that do not rise, too few rows, or too many spikes.
     """
     sheet = read(path)
     for name in (*([time] if time else []), *components):
@@ -70,8 +69,7 @@ def read_probe(path: Path, time: str, components: Sequence[str], factor: float, 
 def read_drifts(path: Path) -> list[np.ndarray]:
     """Tracks (T, 3), s, m, m, of a trial folder, or of every trial folder in it.
 
-    Raises:
-        LogError: no trial there, or one without poses.
+    Raises LogError: no trial there, or one without poses.
     """
     folders = [path] if (path / META_FILE).is_file() else sorted(p.parent for p in path.glob(f"*/{META_FILE}"))
     if not folders:

@@ -71,8 +71,7 @@ def turbulence_of(records: Sequence[np.ndarray], dt: float) -> Turbulence:
         records: each (T, C) m/s, evenly sampled: along x and, if measured, y and z.
         dt: s.
 
-    Raises:
-        ConfigError: too short for any interval, or a record without a movement.
+    Raises ConfigError: too short for any interval, or a record without a movement.
     """
     seconds = dt * sum(map(len, records))
     mean = np.concatenate(records).mean(0)

@@ -27,7 +27,7 @@ def values(plant, row: np.ndarray, names) -> dict[str, dict[str, float]]:
     return {n: {p.name: float(row[plant.index(n, p.name)]) for p in mine[n].parameters} for n in names}
 
 
-def unsized(plant, name: str) -> dict[str, float]:
-    """The parameters of an effect that was named without a value."""
-    effect = next(e for e in plant.active.effects if e.name == name)
-    return {p.name: float("nan") for p in effect.parameters}
+def unsized(plant, name: str, reason: str) -> BaselineAnswer:
+    """Answer that names an effect without a value; that something is missing, if the plant has no effect of this name."""
+    effects = {e.name: {p.name: float("nan") for p in e.parameters} for e in plant.active.effects if e.name == name}
+    return BaselineAnswer(effects, True, reason)

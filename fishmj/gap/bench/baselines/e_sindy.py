@@ -52,10 +52,8 @@ def answer(plant, records: list[Record]) -> BaselineAnswer:
         return NOTHING
     force, term, size = max(found, key=lambda f: f[2])
     name = STANDS_FOR.get((force, term), "")
-    said = f"{force} acceleration ~ {term}, {size:.1f} standard deviations"
-    if name not in {e.name for e in plant.active.effects}:
-        return BaselineAnswer({}, True, said)
-    return BaselineAnswer({name: unsized(plant, name)}, True, said)
+    text = f"{force} acceleration ~ {term}, {size:.1f} standard deviations"
+    return unsized(plant, name, text)
 
 
 def equations(plant, parts, error: np.ndarray, start: np.ndarray):

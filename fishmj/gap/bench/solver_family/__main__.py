@@ -62,8 +62,7 @@ def main(argv: list[str]) -> int:
 def drawn(args) -> int:
     """Draws the plan and prints its cost. Returns the exit code.
 
-    Raises:
-        ConfigError: another plan is there, or two models of one name.
+    Raises ConfigError: another plan is there, or two models of one name.
     """
     models = {Path(source).stem: source for source in args.models}
     if len(models) < len(args.models):
@@ -94,11 +93,7 @@ def cost(plan: FamilyPlan) -> dict:
 
 
 def swim(plan: FamilyPlan, args) -> None:
-    """Swims the missing part of a shard.
-
-    Raises:
-        TooMuch: a CPU would take too long, and this was not agreed to.
-    """
+    """Swims the missing part of a shard. Raises TooMuch: a CPU would take too long, and this was not agreed to."""
     box, left = preset(plan.asked.domain), [s for s in all_swims(plan, args.shard) if not s.done(args.out)]
     water = sum(one.job.steps for one in left) * box.dt
     less = "take a plan of fewer --robots, shorter --seconds; --domain laptop is a preview"

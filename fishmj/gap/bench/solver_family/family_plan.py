@@ -87,11 +87,7 @@ def cut(what: Excitation, seconds: float) -> Excitation:
 
 
 def planned(asked: PlanSettings, tick=lambda done: None) -> FamilyPlan:
-    """Draws the whole plan. tick: receives the number of finished robots.
-
-    Raises:
-        ConfigError, UnknownName: no such model.
-    """
+    """Draws the whole plan. tick: receives the number of finished robots. Raises ConfigError, UnknownName: no such model."""
     descriptions = {name: load_robot(source) for name, source in asked.models.items()}
     found: dict[tuple[int, int], PlannedRobot] = {}
     for number, name in enumerate(asked.models):
@@ -117,7 +113,7 @@ def _robot(
     rng = np.random.default_rng([asked.seed, 23, number, turn])
     seed = FIRST + 1_000_000 * (asked.seed % 500) + 10_000 * len(families.NAMES) + 1000 * number + turn
     kinds = ["none", *["single"] * asked.singles, *(["off"] if turn % 2 else [])]
-    told = f"{SOLVER}-{asked.seed}-{name}-{turn:02d}"
+    label = f"{SOLVER}-{asked.seed}-{name}-{turn:02d}"
     able, cases, forecasts = families.pool(families.SECOND), [], []
     for i, kind in enumerate(kinds):
         effects: dict = {}
@@ -134,9 +130,9 @@ def _robot(
                 forecast = 0.0
             if forecast >= LIKELY:
                 break
-        cases.append(BenchCase(f"{told}-{i}", kind, effects, 1.0, runs, seed))
+        cases.append(BenchCase(f"{label}-{i}", kind, effects, 1.0, runs, seed))
         forecasts.append(forecast)
-    return PlannedRobot(told, name, seed, runs, tuple(cases), tuple(forecasts))
+    return PlannedRobot(label, name, seed, runs, tuple(cases), tuple(forecasts))
 
 
 # ------------------------------------------------------------------------------------------------------------------------ on disk
@@ -160,18 +156,14 @@ def write(plan: FamilyPlan, folder: Path) -> None:
 
 
 def read(folder: Path) -> FamilyPlan:
-    """The plan of a folder.
-
-    Raises:
-        StoreError: there is none, or it is invalid.
-    """
-    told: dict[str, Any] = read_json(folder / FILE)
-    if told.get("schema") != SCHEMA:
-        raise StoreError(f"{folder / FILE}: schema {told.get('schema')!r}, expected {SCHEMA!r}")
-    asked = PlanSettings(**told["asked"])
+    """The plan of a folder. Raises StoreError: there is none, or it is invalid."""
+    content: dict[str, Any] = read_json(folder / FILE)
+    if content.get("schema") != SCHEMA:
+        raise StoreError(f"{folder / FILE}: schema {content.get('schema')!r}, expected {SCHEMA!r}")
+    asked = PlanSettings(**content["asked"])
     places = {name: str(folder / source) if (folder / source).is_file() else source for name, source in asked.models.items()}
     robots = []
-    for one in told["robots"]:
+    for one in content["robots"]:
         runs = tuple(one["experiments"])
         cases = tuple(BenchCase(c["id"], c["kind"], c["effects"], 1.0, runs, one["seed"]) for c in one["cases"])
         robots.append(PlannedRobot(one["id"], one["model"], one["seed"], runs, cases, tuple(c["forecast"] for c in one["cases"])))

@@ -209,7 +209,7 @@ def flown_session(
 
 
 def flown_visibility(
-    build: Build, described: RobotPlan, hidden: Hidden, stand: FlownStand, usual: UsualMotion, seed: int, logs: list[FlownLog]
+    build: Build, described: RobotPlan, stand: FlownStand, usual: UsualMotion, seed: int, logs: list[FlownLog]
 ) -> float:
     """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest."""
     same = within_tolerance(described, np.random.default_rng([seed, 32]))

@@ -67,11 +67,7 @@ def able(generator: str, outside: bool = False, family: str = "") -> tuple[str, 
 
 
 def draw_session(generator: str, family: str, names: Sequence[str], seed: int, logs: int, seconds: float) -> RobotSession:
-    """A session with the effects `names` hidden in it.
-
-    Raises:
-        FloatingPointError: every drawn robot ran away, or none fits.
-    """
+    """A session with the effects `names` hidden in it. Raises FloatingPointError: every drawn robot ran away, or none fits."""
     for attempt in range(PLANS):
         rng = np.random.default_rng([seed, 41, attempt])
         if family == QUADROTOR:
@@ -108,7 +104,7 @@ def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, lo
                 break
         hidden |= one
         visible |= dict.fromkeys(one, seen)
-    build = builder(generator, law, hidden)
+    build = builder(generator, law)
     return RobotSession(plan, hidden, stand, session(build, plan, hidden, stand, usual, seed), visible, servo)
 
 
@@ -123,7 +119,7 @@ def _flown(generator: str, plan: RobotPlan, names: Sequence[str], seed: int, rng
         for attempt in range(DRAWS):
             one = draw_flown(name, rng, plan, usual, GROWTH**attempt)
             flown = flown_session(build, plan, one, few, usual, seed)
-            seen = flown_visibility(build, plan, one, few, usual, seed, flown)
+            seen = flown_visibility(build, plan, few, usual, seed, flown)
             if seen > SEEN:
                 break
         hidden |= one
@@ -133,12 +129,12 @@ def _flown(generator: str, plan: RobotPlan, names: Sequence[str], seed: int, rng
 
 def visibility_of(generator: str, plan: RobotPlan, one: Hidden, law: dict, stand: Stand, usual: UsualMotion, seed: int) -> float:
     """Mean square of one effect alone, by two logs."""
-    build = builder(generator, law, one)
+    build = builder(generator, law)
     few = stand._replace(logs=min(2, stand.logs))
     return visibility(build, plan, one, few, usual, seed, session(build, plan, one, few, usual, seed))
 
 
-def builder(generator: str, law: dict[str, dict[str, float]], hidden: Hidden) -> Any:
+def builder(generator: str, law: dict[str, dict[str, float]]) -> Any:
     """Function (plan, hidden) -> plant. law: a servo's own constants, by the effect that they are."""
     if generator == MUJOCO:
         return MujocoPlant

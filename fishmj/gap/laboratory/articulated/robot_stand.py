@@ -203,8 +203,7 @@ def run(
 ) -> LogRun:
     """One log. plan: the true robot. described: the one in question. push: torques (n, J) of no cause, every spacing.
 
-    Raises:
-        FloatingPointError: the robot left the finite numbers, or ran away.
+    Raises FloatingPointError: the robot left the finite numbers, or ran away.
     """
     joints, h = len(plan.limbs), plant.h
     timing, every = timing_of(hidden, joints), round(stand.tick / h)

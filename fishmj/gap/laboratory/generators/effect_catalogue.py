@@ -1,9 +1,8 @@
 """Effects and faults that can be hidden in a generator's robot: effects of the catalogue in this room's formulas, and others.
 
-An effect of the catalogue has the name, the units and the bounds of `fishmj.effects`; its action on the robot is
-written here, mostly in MuJoCo's own fields. Effects that no generator can hide are refused by name: gains on the strip model's
-own terms (cross-flow, tail, Munk moment, wake memory, walls), turbulence, gears with play, ..
-Faults are in `uncatalogued_faults.py`.
+An effect of the catalogue has the name, the units and the bounds of `fishmj.effects`; its action on the robot is written here,
+mostly in MuJoCo's own fields. Effects that no generator can hide are refused by name: gains on the strip model's own terms
+(cross-flow, tail, Munk moment, wake memory, walls), turbulence, gears with play, .. Faults are in `uncatalogued_faults.py`.
 """
 
 from collections.abc import Callable
@@ -158,8 +157,7 @@ def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float
 
     Missing values are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their null.
 
-    Raises:
-        UnknownName, ConfigError: no such effect here, no number, a value out of bounds, an effect twice, none left to draw.
+    Raises UnknownName, ConfigError: no such effect here, no number, a value out of bounds, an effect twice, none left to draw.
     """
     known = hidden()
     out: dict[str, dict[str, float]] = {}

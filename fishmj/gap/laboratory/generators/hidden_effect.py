@@ -41,8 +41,7 @@ class HiddenEntry(NamedTuple):
     def put(self, fish: RobotParameters, values: Mapping[str, float]) -> None:
         """Hides the effect in a robot; missing parameters stay at their null.
 
-        Raises:
-            UnknownName: no such parameter. ConfigError: a value that is no number or outside its bounds.
+        Raises UnknownName: no such parameter; ConfigError: a value that is no number or outside its bounds.
         """
         known = {p.name: p for p in self.parameters}
         for name, value in values.items():

@@ -41,8 +41,7 @@ class TrueMotion(NamedTuple):
 def compiled(fish: RobotParameters, step: float) -> mujoco.MjModel:
     """MuJoCo's model of the robot, with the friction constraints on.
 
-    Raises:
-        ConfigError: the hidden effect leaves an impossible body.
+    Raises ConfigError: the hidden effect leaves an impossible body.
     """
     spec = build_spec(fish.robot, bare=True)
     spec.option.timestep = step
@@ -179,8 +178,7 @@ def swim(
 ) -> TrueMotion:
     """Swims with commands (K, J) [rad] that reach the servos at arrivals (K,) [s].
 
-    Raises:
-        SimDiverged: the state left the finite numbers; gives the time.
+    Raises SimDiverged: the state left the finite numbers; gives the time.
     """
     run = RobotSimulation(fish, step)
     run.place(start, push, np.asarray(joints, float) + fish.zero)

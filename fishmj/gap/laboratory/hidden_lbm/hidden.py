@@ -89,8 +89,7 @@ class Job:
 class HiddenRun(Run):
     """A `Run` on the second robot's servos; `tick` ignores the command, since the queue has them all.
 
-    Raises:
-        OracleUnstable, ConfigError: the job could not be set up.
+    Raises OracleUnstable, ConfigError: the job could not be set up.
     """
 
     def __init__(self, job: Job, device: str):
@@ -290,10 +289,7 @@ def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = N
     """The sensors' readings of a finished run; of a failed run, its sound part.
 
     noise: factor on the sensors' noise in place of the job's. draw: number of the trial that selects their noise, by default the
-    job's.
-
-    Raises:
-        OracleUnstable: less than a second of it was sound.
+    job's. Raises OracleUnstable: less than a second of it was sound.
     """
     job, made, what = run.job, run.job.made, run.job.what
     record, ticks = run.recording(), run.ticks

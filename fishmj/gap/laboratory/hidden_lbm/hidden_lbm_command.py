@@ -130,11 +130,7 @@ def sized(args) -> tuple[int, int]:
 
 
 def plan_of(args, sets: int) -> dict[str, list[Job]]:
-    """Jobs of the first sets, by the name of each.
-
-    Raises:
-        ConfigError, UnknownName: no such effect, excitation or domain.
-    """
+    """Jobs of the first sets, by the name of each. Raises ConfigError, UnknownName: no such effect, excitation or domain."""
     robot, box = load_robot(args.model), preset(args.domain)
     runs = [_cut(excitation.get(name, robot.n_joints), args.seconds) for name in _ids(args.excitations)]
     plan = {}
@@ -162,8 +158,7 @@ def _cut(what: Excitation, seconds: float | None) -> Excitation:
 def _apart(args) -> None:
     """Checks the places of trials and truth, before anything is planned.
 
-    Raises:
-        ConfigError: not stated, or the truth would lie among the trials.
+    Raises ConfigError: not stated, or the truth would lie among the trials.
     """
     if None in (args.out, args.truth) and not args.dry_run:
         raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")

@@ -26,8 +26,7 @@ def main(argv: list[str]) -> int:
 def score(folder: Path, model: str) -> list[dict]:
     """Fitted against sealed, one row a number.
 
-    Raises:
-        StoreError: the seal is missing or broken. ConfigError: nothing was fitted.
+    Raises StoreError: the seal is missing or broken; ConfigError: nothing was fitted.
     """
     values = opened(folder)
     fitted = {name: e for block in read_toml(resolve(model)).get("calibration", {}).values() for name, e in block.items()}

@@ -73,8 +73,8 @@ def main(argv: list[str]) -> int:
     made = f"{len(trials)} trials, {seconds:.0f} s of synthetic logs in {args.out} ({took:.1f} s)"
     console.say(f"{made}; the truth is in {args.truth}")
     if args.json:
-        told = {"trials": len(trials), "seconds": seconds, "out": args.out, "truth": args.truth, "hidden": len(effects)}
-        console.emit_json(told)
+        result = {"trials": len(trials), "seconds": seconds, "out": args.out, "truth": args.truth, "hidden": len(effects)}
+        console.emit_json(result)
     return console.OK
 
 
@@ -88,11 +88,7 @@ def _runs(text: str, logs: int | None) -> list[str]:
 
 
 def stream(text: str) -> tuple[float, float]:
-    """Parses `0.2,3.14`: speed [m/s] and direction [rad].
-
-    Raises:
-        ArgumentTypeError: no two numbers in their ranges.
-    """
+    """Parses `0.2,3.14`: speed [m/s] and direction [rad]. Raises ArgumentTypeError: no two numbers in their ranges."""
     parts = text.split(",")
     if len(parts) != 2:
         raise ArgumentTypeError(f"got {text[:40]!r}, expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")

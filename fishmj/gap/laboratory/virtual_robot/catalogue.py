@@ -70,8 +70,7 @@ class CatalogueEntry:
     def fields(self, values: Mapping[str, float]) -> dict[str, float]:
         """Fields for given parameter values, as {"motor.deadband": 0.01}; missing parameters stay at their null.
 
-        Raises:
-            UnknownName: a parameter that the effect does not have. ConfigError: a value that is no number or impossible.
+        Raises UnknownName: a parameter that the effect does not have; ConfigError: a value that is no number or impossible.
         """
         known = {p.name: p for p in self.parameters}
         for name, value in values.items():

@@ -87,8 +87,7 @@ def bounds(name: str, parameter: EntryParameter) -> tuple[float, float]:
 def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> tuple[Path, Path]:
     """Absolute paths of a data set and its truth, checked before the work.
 
-    Raises:
-        ConfigError: a name that cannot stand in a path, an existing file, or a place inside another data set.
+    Raises ConfigError: a name that cannot stand in a path, an existing file, or a place inside another data set.
     """
     folder, truth = Path(folder).absolute(), Path(truth).absolute()
     checked(folder.resolve().name, "data set", "--out")
@@ -126,8 +125,7 @@ def write_hidden(
 ) -> None:  # fmt: skip
     """Writes the data set, with a page of weighings if there is one, then its truth.
 
-    Raises:
-        ConfigError: the truth would lie inside the data set. StoreError: a file exists, or the disk refuses.
+    Raises ConfigError: the truth would lie inside the data set; StoreError: a file exists, or the disk refuses.
     """
     folder, truth = Path(folder), Path(truth)
     _apart(folder, truth)

@@ -5,8 +5,7 @@
     motor      i' = (V - K w - R i) / L,  torque K i         exactly over a step, back-EMF taken implicitly
     friction   |p| <= h F,  w+ = w* + W p,  p opposes w+     Coulomb's law on impulses: a joint at rest is locked until F breaks
 
-The aim is the latest command after gain error, counts, clamp, motion-time ramp (anew with every new
-command) and rate limit.
+The aim is the latest command after gain error, counts, clamp, motion-time ramp (anew with every new command) and rate limit.
 """
 
 from math import exp

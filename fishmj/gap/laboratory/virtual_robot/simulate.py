@@ -94,8 +94,7 @@ def run(
 ) -> StateRecording:
     """Advances `state` in place by `seconds`; commands (K, J) [rad] reach the servos at arrivals (K,) [s].
 
-    Raises:
-        SimDiverged: the state left the finite numbers; gives the time.
+    Raises SimDiverged: the state left the finite numbers; gives the time.
     """
     steps = round(seconds / H)
     joints = len(plant.body.joints)

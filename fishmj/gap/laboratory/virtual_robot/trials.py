@@ -41,8 +41,7 @@ def plant(
 
     flow: speed [m/s] and direction [rad] of the ordered stream. scales: of its water.
 
-    Raises:
-        UnknownName: an effect or parameter that does not exist. ConfigError: an impossible value, medium or robot.
+    Raises UnknownName: an effect or parameter that does not exist; ConfigError: an impossible value, medium or robot.
     """
     if medium not in MEDIA:
         raise ConfigError(f"virtual robot: medium = {medium!r}; choose one of {', '.join(MEDIA)}")

@@ -11,11 +11,7 @@ from fishmj.water.dynamics import planar_chain, strip_forces
 
 
 class Surrogate(SingleFish):
-    """One fish in the strip water with or without a residual.
-
-    Args:
-        water: coefficients. learnt: a residual.
-    """
+    """One fish in the strip water with or without a residual. water: coefficients. learnt: a residual."""
 
     def __init__(
         self, robot: Robot, ch: planar_chain.Chain, water: strip_forces.Coefficients, *, learnt=None, pose=(0.0, 0.0, 0.0)

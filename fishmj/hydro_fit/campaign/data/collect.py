@@ -310,8 +310,7 @@ def main(argv: list[str]) -> int:
 def plan_of(args: argparse.Namespace, robot: Robot) -> CampaignPlan:
     """Plan that the options select.
 
-    Raises:
-        ConfigError: two kinds of plan at once; a slip ratio that no segment has; --all-at-slip beside another ratio.
+    Raises ConfigError: two kinds of plan at once; a slip ratio that no segment has; --all-at-slip beside another ratio.
     """
     if args.preview and args.fresh_test is not None:
         raise ConfigError("collect: --preview and --fresh-test are two plans; choose one")
@@ -339,11 +338,7 @@ def domain_of(args: argparse.Namespace, out: Path) -> Domain:
 
 
 def domain_there(folder: Path) -> Domain:
-    """Domain and time step of an existing data set.
-
-    Raises:
-        DatasetError: its metadata lack them.
-    """
+    """Domain and time step of an existing data set. Raises DatasetError: its metadata lack them."""
     path = folder / SPLIT
     try:
         grid = read_json(path)["grid"]

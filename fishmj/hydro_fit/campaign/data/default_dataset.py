@@ -90,8 +90,7 @@ class Request:
 def segments_at_hand(asked: Request) -> Path:
     """Folder of the data set to fit, after solving the segments of the table above; prints a line for every decision.
 
-    Raises:
-        ConfigError: the data set is of another fish, the fish fits no box, or the budget is too small for any fit.
+    Raises ConfigError: the data set is of another fish, the fish fits no box, or the budget is too small for any fit.
     """
     robot, budget = asked.robot, asked.budget
     own = asked.folder or asked.home / robot.name
@@ -148,8 +147,7 @@ def preview(plan: CampaignPlan, box: Domain, budget: float | None = None, there:
 def preview_box(robot: Robot) -> Domain:
     """First of `PREVIEW_BOXES` in which the straight fish has its margin from every face at any heading.
 
-    Raises:
-        ConfigError: it fits none of them.
+    Raises ConfigError: it fits none of them.
     """
     for box in map(preset, PREVIEW_BOXES):
         wide = min(box.size[:2])

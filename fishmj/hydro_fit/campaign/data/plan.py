@@ -264,11 +264,7 @@ class CampaignPlan:
         return sum(segment.water for segment in self.segments)
 
     def at(self, slips: Sequence[float]) -> "CampaignPlan":
-        """The part of the plan at these slip ratios.
-
-        Raises:
-            ConfigError: no segment is at one of them.
-        """
+        """The part of the plan at these slip ratios. Raises ConfigError: no segment is at one of them."""
         there = sorted({segment.slip for segment in self.segments})
         if unknown := [slip for slip in slips if slip not in there]:
             raise ConfigError(f"campaign: slip = {unknown[0]}; expected of this plan's {', '.join(f'{s:g}' for s in there)}")
@@ -337,11 +333,7 @@ def _ranked(segments: Iterable[Segment]) -> list[tuple[int, Segment]]:
 
 
 def planned(label: str, robot: "Robot | str", seed: int = 0) -> CampaignPlan:
-    """Plan of a label, as a data set states it; its policies are those made for the fish.
-
-    Raises:
-        ConfigError: no such label.
-    """
+    """Plan of a label, as a data set states it; its policies are those made for the fish. Raises ConfigError: no such label."""
     kinds, parts = r"(full|preview|scale ([\d.e+-]+)|fresh test (\d+))", r"(?:, slip ([\d., ]+?))?(?:, all at slip ([\d.]+?))?"
     known = re.fullmatch(kinds + parts + r"(?:, first (\d+))?", label)
     if known is None:
@@ -362,8 +354,7 @@ def full(robot: "Robot | str" = "fish", *, seed: int = 0, scale: float = 1.0, po
     Args:
         policies: names or files of controllers for on-policy episodes; by default those of `POLICIES` for this fish.
 
-    Raises:
-        ConfigError: a scale that is not positive; a named policy is not for this fish.
+    Raises ConfigError: a scale that is not positive; a named policy is not for this fish.
     """
     if not 0 < scale <= 100:
         raise ConfigError(f"campaign: scale = {scale}; expected a positive number, 1 for the whole campaign")

@@ -20,15 +20,13 @@ import numpy as np
 from fishmj import __version__
 from fishmj.hydro_fit.campaign.data.segment import Drive, Segment, drive, ticks_of
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
-from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
-from fishmj.lbm_oracle.run.run_log import flow_at_links, log_tables
+from fishmj.lbm_oracle.run.run_log import flow_at_links
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import boundary_entry
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop, side_by_side
-from fishmj.log import SCHEMA, Trial
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.mjcf.reading import load_robot
@@ -168,8 +166,7 @@ class SegmentRunner:
 def on_device(waiting: Waiting, device: str, go_on: GoOn = never_stop, *, setup: Setup, tanks: int = 1) -> Iterator[Finished]:
     """Runs the waiting segments, `tanks` at a time, on one of several devices (`spread`).
 
-    Raises:
-        ConfigError, OracleUnstable: a segment could not be set up.
+    Raises ConfigError, OracleUnstable: a segment could not be set up.
     """
     return side_by_side(waiting, partial(SegmentRunner, setup=replace(setup, device=device)), tanks=tanks, go_on=go_on)
 
@@ -215,38 +212,3 @@ def _sound(run: Run, first: int) -> list[tuple]:
         if not np.isfinite(numbers).all() or max(np.abs(row[3][3:]).max(), np.abs(row[5]).max()) > SANE:
             return rows[first:n]
     return rows[first:]
-
-
-def trial_of(record: SegmentRecord, robot: Robot) -> Trial:
-    """Record as a trial in the log's own schema, for replay and other readers of trials; times from the record's start.
-
-    It has a table `power` if servos drove the joints.
-    """
-    volts, driven = robot.servo.voltage, np.isfinite(record.power).all()
-    power = (volts, record.power / volts) if driven else None
-    moved, pushed = (record.q, record.v), (record.wrench, record.raw)
-    tables = log_tables(record.t - record.tick, record.t, record.command, *moved, record.flow, *pushed, power)
-    return Trial(_trial_meta(record, tables), tables, name=record.id)
-
-
-def _trial_meta(record: SegmentRecord, tables: dict) -> dict:
-    meta = record.meta
-    segment = meta["segment"]
-    return {
-        "schema": SCHEMA,
-        "origin": meta["origin"],
-        "robot": meta["robot"]["name"],
-        "medium": "water",
-        "flow": {**segment["flow"], "known": True},
-        "excitation": segment["drive"]["kind"],
-        "replicate_of": meta["replicate_of"],
-        "controller": segment["drive"].get("controller", ""),
-        "water": "lbm",
-        "oracle": {**meta["grid"], "stopped": meta["stopped"]},
-        "seed": segment["flow"]["seed"],
-        "clock": {name: "simulation" for name in tables},
-        "versions": meta["versions"],
-        "source": "fishmj.campaign",
-        "licence": "Apache-2.0",
-        "notes": f"synthetic: {meta['block']}, split {meta['split']}",
-    }

@@ -96,11 +96,7 @@ class Drive(NamedTuple):
 
 
 def drive(segment: Segment, robot: Robot) -> Drive:
-    """Drive of a segment.
-
-    Raises:
-        UnknownName: no such kind. ConfigError: unknown settings.
-    """
+    """Drive of a segment. Raises UnknownName: no such kind; ConfigError: unknown settings."""
     settings = dict(segment.drive)
     kind = str(settings.pop("kind", ""))
     if kind not in KINDS:
@@ -222,8 +218,7 @@ class ClosedLoop:
 
     Called as (tick, run) once every bus tick, in order; returns the command (J,) rad.
 
-    Raises:
-        UnknownName, ConfigError: no such controller, or none for this robot.
+    Raises UnknownName, ConfigError: no such controller, or none for this robot.
     """
 
     def __init__(self, segment: Segment, robot: Robot, controller: str, target, seed: int, noise: float):
@@ -256,8 +251,7 @@ def policy(
 ) -> Drive:
     """A controller or policy file that steers for `target` (2,) m, with the sensors' noise and latency.
 
-    Raises:
-        ConfigError: the policy here is not the one with this sha256.
+    Raises ConfigError: the policy here is not the one with this sha256.
     """
     closed = ClosedLoop(segment, robot, controller, target, seed, noise)
     if sha256 and (got := getattr(closed.controller, "sha256", "")) != sha256:
