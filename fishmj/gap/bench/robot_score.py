@@ -39,19 +39,13 @@ def score(rows: list[dict]) -> dict:
     of = lambda key: {name: figures([r for r in rows if r.get(key) == name]) for name in sorted({str(r.get(key)) for r in rows})}
     pooled = figures(rows)
     apart, left = leave_one_out(rows)
-    aims = []
-    for aim in AIMS:
-        found = pooled[aim.key]
-        aims.append(
-            {"aim": aim.key, "low": aim.low, "high": aim.high, "asked": aim.asked, "n": found["n"], "met": aim.met(found)}
-        )
     return {
         "pooled": pooled,
         "generators": of("generator"),
         "families": of("family"),
         "left_out": apart,
         "left_out_pooled": figures(left) if left else None,
-        "aims": aims,
+        "aims": [aim.row(pooled) for aim in AIMS],
     }
 
 
