@@ -1,71 +1,354 @@
 """The difference between two MjModels of one robot, written into its MJCF.
 
-    patched(robot, model) -> str        MJCF text of the description with the fields of `model`
+    next_mjcf(robot, model, delay, out, comment) -> NextMjcf    its author's text with the changed attributes
+    patched(robot, model, delay) -> str                         text that MuJoCo writes anew, where the author's cannot hold them
 
-An effect changes an MjModel only (fishmj/effects); this table says which attribute of MJCF holds which field.
+An effect changes an MjModel only (fishmj/effects); this table says which attribute of MJCF holds which field. The text is
+compiled, and is taken only if all fields are those that MuJoCo compiles from the same changes to its own MjSpec.
 """
 
 import difflib
-from typing import Any
+import os
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import temporary_beside
 from fishmj.gap.models import joint_laws
-from fishmj.gap.models.robot_description import RobotDescription
+from fishmj.gap.models.mjcf_text import MjcfElement, MjcfText, NotEditable, with_comment
+from fishmj.gap.models.robot_description import FREE, RobotDescription
 
 JOINT = ("stiffness", "jnt_stiffness", "jnt_stiffnesspoly"), ("damping", "dof_damping", "dof_dampingpoly")
+ACTUATOR = ("gainprm", "biasprm", "gear", "forcerange", "ctrlrange", "biastype", "forcelimited")
 BODY = ("mass", "inertia", "ipos", "iquat")
+OPTION = ("gravity", "wind", "density")
+ROUNDED = 5e-6  # relative; a written number has six digits
+EQUAL = 1e-5  # relative; between compiled texts
+SOURCE = ("paths", "npaths", "nbuffer", "signature")  # what of a model is of its text
+# Frames of the inertia may be numbered otherwise; ctrlspec says what a command means, and no dynamics.
+FRAMES = ("body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe", "bvh_aabb", "actuator_ctrlspec")
+Changes = dict[tuple[str, int], dict[str, Any]]  # {(part, its number): {attribute of MjSpec: value}}
 
 
-def patched(robot: RobotDescription, model: Any, delay: float = 0.0) -> str:
-    """MJCF of the description with the fields of a changed model. delay: s that all commands come later."""
-    spec, before = robot.spec.copy(), robot.model
-    moving = [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
-    for joint, known in zip(moving, robot.joints, strict=True):
-        for name, first, more in JOINT:
-            place = known.joint if first.startswith("jnt") else known.dof
-            now, then = ([float(getattr(x, first)[place]), *getattr(x, more)[place].tolist()] for x in (model, before))
-            if now != then:
-                setattr(joint, name, now)
-        for name in ("frictionloss", "armature"):
-            field = f"dof_{name}"
-            if getattr(model, field)[known.dof] != getattr(before, field)[known.dof]:
-                setattr(joint, name, float(getattr(model, field)[known.dof]))
-    if model.jnt_user.any():  # laws of joint_laws.py
-        spec.nuserdata = max(spec.nuserdata, joint_laws.remembered(robot.model.njnt))
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
-    if any(model.dof_frictionloss > before.dof_frictionloss):
-        off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-        spec.option.disableflags &= ~int(off)  # MuJoCo's dry friction is a constraint
-    for a, actuator in enumerate(spec.actuators):
-        for name in ("gainprm", "biasprm", "gear", "forcerange", "ctrlrange"):
-            values = getattr(model, f"actuator_{name}")[a]
-            if not np.array_equal(values, getattr(before, f"actuator_{name}")[a]):
-                setattr(actuator, name, values)
-        if model.actuator_biastype[a] != before.actuator_biastype[a]:
-            actuator.biastype = mujoco.mjtBias(int(model.actuator_biastype[a]))
-        if model.actuator_forcelimited[a] != before.actuator_forcelimited[a]:
-            actuator.forcelimited = int(model.actuator_forcelimited[a])
-        if delay:
-            actuator.delay = float(robot.delays[a] + delay)
-            actuator.nsample = int(np.ceil(actuator.delay / model.opt.timestep)) + 1
-    for name, b in robot.bodies.items():
-        if any(not np.array_equal(getattr(model, f"body_{f}")[b], getattr(before, f"body_{f}")[b]) for f in BODY):
-            body = spec.body(name) or spec.bodies[b]
-            body.explicitinertial, body.fullinertia = True, [np.nan] * 6
-            body.mass = float(model.body_mass[b])
-            body.inertia, body.ipos, body.iquat = (getattr(model, f"body_{f}")[b] for f in BODY[1:])
-    for name in ("gravity", "wind", "density"):
-        if not np.array_equal(getattr(model.opt, name), getattr(before.opt, name)):
-            setattr(spec.option, name, getattr(model.opt, name))
-    spec.compile()
+class NextMjcf(NamedTuple):
+    """A patched description. diff: unified, of the lines that differ in meaning. how: clause that says what was written."""
+
+    data: bytes
+    diff: str
+    how: str
+
+
+def next_mjcf(robot: RobotDescription, model: Any, delay: float, out: Path, comment: str) -> NextMjcf:
+    """MJCF of the description with the fields of a changed model, for a file `out` that begins with a comment.
+
+    Raises:
+        ConfigError: MuJoCo does not compile any text to these fields.
+    """
+    found = _changes(robot, model, delay)
+    wanted = _compiled(_applied(robot, found))
+    try:
+        data = _own_text(robot, found, wanted, out.parent, comment)
+        if other := differing(_compiled_at(data, out), wanted):
+            raise NotEditable(f"MuJoCo compiles the changed text of {robot.path.name} to another {other}")
+        before = robot.path.read_text(encoding="utf-8", errors="replace")
+        diff = _unified(before, data.decode(errors="replace"), robot.path.name, out.name)
+        return NextMjcf(data, diff, f"{out.name} is the text of {robot.path.name} with these attributes changed")
+    except NotEditable as why:
+        text = patched(robot, model, delay, out.parent)
+        data = with_comment(text.encode(), comment)
+        _refuse_unlike(robot, _compiled_at(data, out), model)
+        spec = robot.spec.copy()
+        _compiled(spec)
+        return NextMjcf(data, _unified(spec.to_xml(), text, robot.path.name, out.name), f"MuJoCo wrote {out.name} anew without comments and layout: {why}")
+
+
+def patched(robot: RobotDescription, model: Any, delay: float = 0.0, folder: Path | None = None) -> str:
+    """MJCF that MuJoCo writes. delay: s that all commands come later. folder: where the text will lie, if it is another."""
+    spec = _applied(robot, _changes(robot, model, delay))
+    _compiled(spec)
+    for name, value in _folders(robot, folder or robot.path.parent).items():
+        setattr(spec, name, value)
     return spec.to_xml()
 
 
-def difference(robot: RobotDescription, text: str) -> str:
-    """Unified diff from the MJCF of the description to `text`."""
+def differing(one: Any, other: Any) -> str:
+    """Name of the first field in which two MjModels differ, "" if there is none. Inertias are compared as tensors."""
+    pairs = [(name, getattr(one, name), getattr(other, name)) for name in dir(one) if name[0] != "_" and name not in (*SOURCE, *FRAMES)]
+    pairs += [(f"opt.{name}", getattr(one.opt, name), getattr(other.opt, name)) for name in dir(one.opt) if name[0] != "_"]
+    pairs += [("body_inertia", _tensors(one), _tensors(other))]
+    for name, a, b in pairs:
+        if name.endswith("pathadr") or not isinstance(a, int | float | bytes | np.ndarray):
+            continue
+        if isinstance(a, bytes) or isinstance(b, bytes):
+            if a != b:
+                return name
+            continue
+        a, b = np.asarray(a), np.asarray(b)
+        near = 1e-9 * np.abs(b[np.isfinite(b)]).max(initial=0.0) if b.dtype.kind == "f" else 0.0
+        if a.shape != b.shape or not np.allclose(a, b, EQUAL if b.dtype.kind == "f" else 0.0, near, equal_nan=True):
+            return name
+    return ""
+
+
+def _changes(robot: RobotDescription, model: Any, delay: float) -> Changes:
+    """Attributes with which MuJoCo compiles the description to the fields of `model`; other ones follow from some of them."""
+    found, compiled = _between(robot, robot.model, model), None
+    _free_inertia(robot, found, model)
+    for _ in range(2):
+        compiled = _compiled(_applied(robot, found))
+        more = _between(robot, compiled, model)  # such as kv, which MuJoCo computes from dampratio and armature
+        if not more:
+            break
+        for key, values in more.items():
+            found.setdefault(key, {}).update(values)
+    else:
+        _refuse_unlike(robot, compiled, model)
+    for a in range(len(robot.spec.actuators) if delay else 0):
+        later = float(robot.delays[a] + delay)
+        samples = int(np.ceil(later / model.opt.timestep)) + 1
+        found.setdefault(("actuator", a), {}).update(delay=later, nsample=samples)
+    flags, off = {}, robot.spec.option.disableflags
+    if model.jnt_user.any():  # laws of joint_laws.py
+        needed = joint_laws.remembered(robot.model.njnt)
+        if robot.spec.nuserdata < needed:
+            found["size", 0] = {"nuserdata": needed}
+        flags["island"] = "disable"
+    if any(model.dof_frictionloss > robot.model.dof_frictionloss):  # MuJoCo's dry friction is a constraint
+        flags |= dict.fromkeys(("constraint", "frictionloss"), "enable")
+    if flags := {name: state for name, state in flags.items() if bool(off & _flag(name)) != (state == "disable")}:
+        found["flag", 0] = flags
+    return found
+
+
+def _free_inertia(robot: RobotDescription, found: Changes, model: Any) -> None:
+    """Adds what lets a compiler take inertias as they are stated, if it takes those of geoms only, or scales the total mass."""
+    compiler, before, own = robot.spec.compiler, robot.model, [values for (part, _), values in found.items() if part == "body"]
+    changed = {}
+    if own and compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        changed["inertiafromgeom"] = "auto"
+    if own and compiler.settotalmass > 0.0:
+        unscaled = robot.spec.copy()
+        unscaled.compiler.settotalmass = -1.0
+        scale = before.body_mass[1:].sum() / _compiled(unscaled).body_mass[1:].sum()
+        changed["settotalmass"] = _six(compiler.settotalmass + np.sum(model.body_mass - before.body_mass)).item()
+        for values in own:
+            values |= {name: _six(values[name] / scale) for name in ("mass", "inertia")}
+    if changed:
+        found["compiler", 0] = changed
+
+
+def _between(robot: RobotDescription, before: Any, model: Any) -> Changes:
+    """Attributes whose fields differ between two models."""
+    spec, found = robot.spec, {}
+    kept = [i for i, joint in enumerate(spec.joints) if joint.type != mujoco.mjtJoint(FREE)]
+    for i, known in zip(kept, robot.joints, strict=True):
+        values = {}
+        for name, first, more in JOINT:
+            place = known.joint if first.startswith("jnt") else known.dof
+            now, then = (np.append(getattr(x, first)[place], getattr(x, more)[place]) for x in (model, before))
+            values[name] = now, then
+        for name in ("frictionloss", "armature"):
+            values[name] = tuple(float(getattr(x, f"dof_{name}")[known.dof]) for x in (model, before))
+        found["joint", i] = _moved(values)
+    for a in range(len(spec.actuators)):
+        found["actuator", a] = _moved({n: tuple(getattr(x, f"actuator_{n}")[a] for x in (model, before)) for n in ACTUATOR})
+    for number in robot.bodies.values():
+        values = {n: tuple(getattr(x, f"body_{n}")[number] for x in (model, before)) for n in BODY}
+        if moved := _moved(values):
+            explicit = spec.bodies[number].explicitinertial
+            exact = {n: now if explicit else _six(now) for n, (now, _) in values.items()}
+            found["body", number] = exact | moved
+    found["option", 0] = _moved({n: (getattr(model.opt, n), getattr(before.opt, n)) for n in OPTION})
+    return {key: values for key, values in found.items() if values}
+
+
+def _moved(pairs: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
+    """Those of {name: (now, then)} that differ, with six digits where they do."""
+    out = {}
+    for name, (now, then) in pairs.items():
+        a, b = np.asarray(now, float), np.asarray(then, float)
+        differ = np.abs(a - b) > ROUNDED * np.abs(a) + 1e-12 * np.abs(a).max()
+        if differ.any():
+            out[name] = np.where(differ, _six(a), a) if a.ndim else _six(a).item()
+    return out
+
+
+def _six(values: Any) -> np.ndarray:
+    """Numbers rounded to six digits."""
+    return np.vectorize(lambda x: float(f"{x:.6g}"), otypes=[float])(values)
+
+
+def _applied(robot: RobotDescription, found: Changes) -> Any:
+    """Copy of the description's MjSpec with changes."""
     spec = robot.spec.copy()
-    spec.compile()
-    before, after = (part.splitlines(keepends=True) for part in (spec.to_xml(), text))
-    return "".join(difflib.unified_diff(before, after, robot.path.name, "patched.xml", n=1))
+    for (part, i), values in found.items():
+        if part == "flag":
+            for name, state in values.items():
+                off = spec.option.disableflags
+                spec.option.disableflags = off | _flag(name) if state == "disable" else off & ~_flag(name)
+            continue
+        if "inertiafromgeom" in values:
+            values = values | {"inertiafromgeom": mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO}
+            for n, body in enumerate(spec.bodies):
+                body.explicitinertial = body.explicitinertial and ("body", n) in found
+        if part == "body":
+            body = spec.bodies[i]
+            body.explicitinertial, body.fullinertia = True, [np.nan] * 6
+        parts = {"joint": spec.joints, "actuator": spec.actuators, "body": spec.bodies}
+        owner = parts[part][i] if part in parts else {"option": spec.option, "size": spec, "compiler": spec.compiler}[part]
+        for name, value in values.items():
+            kind = {"biastype": lambda x: mujoco.mjtBias(int(x)), "forcelimited": int}.get(name, lambda x: x)
+            setattr(owner, name, kind(value))
+    return spec
+
+
+def _flag(name: str) -> int:
+    """Bit of a flag of <option> that disables something."""
+    return int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name.upper()}"))
+
+
+def _compiled(spec: Any) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the description's own, which reading it gave
+        return spec.compile()
+
+
+def _compiled_at(data: bytes, out: Path) -> Any:
+    """MjModel of a text that will be the file `out`. Raises NotEditable if MuJoCo refuses it there."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    path = temporary_beside(out).with_suffix(".xml")
+    try:
+        path.write_bytes(data)
+        return _compiled(mujoco.MjSpec.from_file(str(path)))
+    except (ValueError, mujoco.FatalError) as error:
+        raise NotEditable(f"MuJoCo refuses it in {out.parent}: {' '.join(str(error).split())[:200]}") from error
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _refuse_unlike(robot: RobotDescription, compiled: Any, model: Any) -> None:
+    """Raises ConfigError if a compiled text has other fields than the model with the effects."""
+    if other := _between(robot, compiled, model):
+        (part, i), values = next(iter(other.items()))
+        what = f"{' and '.join(values)} of {part} {i + 1}"
+        why = "its compiler changes it; look for settotalmass, boundmass, balanceinertia, inertiafromgeom, a scaled frame"
+        raise ConfigError(f"{robot.path}: MuJoCo does not take {what} as the effects need it: {why}")
+
+
+def _own_text(robot: RobotDescription, found: Changes, wanted: Any, folder: Path, comment: str) -> bytes:
+    """The author's text with changes, for a file in a folder. wanted: MjModel of them."""
+    text, spec = MjcfText(robot.path), robot.spec
+    names = lambda known: [element.name or "" for element in known]
+    for (part, i), values in found.items():
+        if part == "joint":
+            joint = text.matched(text.joints, names(spec.joints))[i]
+            for name, value in values.items():
+                joint.set(name, value)
+        elif part == "actuator":
+            _write_actuator(text.matched(text.actuators, names(spec.actuators))[i], values, robot, wanted, i)
+        elif part == "body":
+            _write_inertia(text, text.matched(text.bodies, names(spec.bodies[1:]))[i - 1], values, wanted, i)
+    folders, compiler = _folders(robot, folder), text.root.child("compiler")
+    if compiler and "assetdir" in compiler.attributes and len(set(folders.values())) == 1:
+        folders = {"assetdir": folders.popitem()[1]}
+    for part, more in (("size", {}), ("option", {}), ("compiler", folders)):
+        text.set_section(part, found.get((part, 0), {}) | more, found.get(("flag", 0), {}) if part == "option" else {})
+    for element in (*text.includes, *text.elements):
+        if element.include is None and element.tag in ("include", "model") and "file" in element.attributes:
+            element.set("file", _seen_from(folder, robot.path.parent, element.attributes["file"]))
+    return text.written(comment)
+
+
+def _write_actuator(element: MjcfElement, values: dict[str, Any], robot: RobotDescription, wanted: Any, a: int) -> None:
+    """Writes gains as kp and kv where the element can hold them, else makes it a <general>."""
+    gain, bias = wanted.actuator_gainprm[a], wanted.actuator_biasprm[a]
+    if values.keys() & {"gainprm", "biasprm", "biastype"}:
+        kp, kv = (0.0 if x == 0.0 else x for x in (-bias[1], -bias[2]))
+        proper = gain[0] == {"position": kp, "velocity": kv}.get(element.tag) and not (gain[1:].any() or bias[0] or bias[3:].any())
+        if element.tag == "general":
+            for name in ("gainprm", "biasprm"):
+                if name in values:
+                    element.set(name, values[name])
+            if "biastype" in values:
+                element.set("biastype", "affine")
+        elif element.tag == "position" and proper:
+            if "gainprm" in values:
+                element.set("kp", kp)
+            if bias[2] != robot.model.actuator_biasprm[a, 2]:
+                element.set("kv", kv)
+                element.rename("position", "dampratio")
+        elif element.tag == "velocity" and proper and not bias[1]:
+            element.set("kv", kv)
+        else:
+            if "inheritrange" in element.attributes:
+                element.set("ctrlrange", wanted.actuator_ctrlrange[a])
+            element.rename("general", "kp", "kv", "dampratio", "timeconst", "inheritrange")
+            kind = ["fixed", "affine"][wanted.actuator_gaintype[a]]
+            element.set("gaintype", kind)
+            element.set("gainprm", gain)
+            element.set("biastype", ["none", "affine"][wanted.actuator_biastype[a]])
+            if wanted.actuator_biastype[a]:
+                element.set("biasprm", bias)
+    for name in ("gear", "forcerange", "ctrlrange", "delay", "nsample"):
+        if name in values:
+            element.set(name, values[name])
+    spec = robot.spec
+    if "forcelimited" in values and not (spec.compiler.autolimits and int(spec.actuators[a].forcelimited) == 2):
+        element.set("forcelimited", "true")
+
+
+def _write_inertia(text: MjcfText, body: MjcfElement, values: dict[str, Any], wanted: Any, b: int) -> None:
+    """Writes a body's <inertial> in the form that it has, or a new one."""
+    element = body.child("inertial")
+    if element is None:
+        turn = {} if np.allclose(values["iquat"], (1, 0, 0, 0), atol=1e-12) else {"quat": values["iquat"]}
+        text.insert_in(body, "inertial", pos=values["ipos"], **turn, mass=values["mass"], diaginertia=values["inertia"])
+        return
+    element.set("pos", values["ipos"])
+    element.set("mass", values["mass"])
+    if "fullinertia" in element.attributes:
+        tensor = _tensors(wanted)[b]
+        full = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
+        element.set("fullinertia", _six(np.where(np.abs(full) < 1e-12 * np.trace(tensor), 0.0, full)))
+    else:
+        element.set("diaginertia", values["inertia"])
+
+
+def _tensors(m: Any) -> np.ndarray:
+    """(nbody, 3, 3) inertia of each body about its centre of mass, in the body's frame."""
+    turn = np.empty((m.nbody, 9))
+    for b in range(m.nbody):
+        mujoco.mju_quat2Mat(turn[b], m.body_iquat[b])
+    turn = turn.reshape(-1, 3, 3)
+    return np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
+
+
+def _folders(robot: RobotDescription, folder: Path) -> dict[str, str]:
+    """{meshdir, texturedir: folder of the robot's files as seen from another folder}, of those that it has."""
+    spec, own = robot.spec, robot.path.parent
+    if folder.resolve() == own.resolve():
+        return {}
+    needed = {"meshdir": [x.file for x in (*spec.meshes, *spec.hfields, *spec.skins)]}
+    needed["texturedir"] = [name for x in spec.textures for name in (x.file, *x.cubefiles)]
+    return {n: _seen_from(folder, own, getattr(spec, n) or ".") for n, files in needed.items() if any(files)}
+
+
+def _seen_from(folder: Path, own: Path, name: str) -> str:
+    """A path relative to one folder, as seen from another."""
+    if folder.resolve() == own.resolve() or os.path.isabs(name):
+        return name
+    target = (own / name).resolve()
+    try:
+        return Path(os.path.relpath(target, folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return target.as_posix()
+
+
+def _unified(before: str, after: str, *names: str) -> str:
+    """Unified diff of two texts."""
+    lines = difflib.unified_diff(before.splitlines(keepends=True), after.splitlines(keepends=True), *names, n=1)
+    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
