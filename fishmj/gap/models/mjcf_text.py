@@ -21,7 +21,8 @@ from fishmj.base.errors import ConfigError
 
 TAG = re.compile(rb"<[^\s/>]+(?:\s+[^\s=]+\s*=\s*(?:\"[^\"]*\"|'[^']*'))*\s*/?>")
 ATTRIBUTE = re.compile(rb"(\s+)([^\s=]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
-DECLARATION = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:<\?xml[^>]*\?>[ \t]*(\r?\n)?)?")
+DECLARATION = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:<\?xml[^>]*\?>(?:[ \t]*(\r?\n))?)?")
+COMMENT = re.compile(rb"(?<=<!--).*?(?=-->)", re.DOTALL)
 REST_OF_LINE = re.compile(rb"[ \t]*(?:<!--[^\n]*?-->[ \t]*)?(?=\r?\n)")
 OPEN_ENDED = ("gainprm", "biasprm", "gear", "stiffness", "damping")  # attributes whose last numbers may be left out
 SAME = 1e-9  # of the largest number of an attribute
@@ -84,7 +85,9 @@ class MjcfElement:
         near = SAME * np.abs(values).max()
         kept = [k < len(old) and abs(float(old[k]) - x) <= near for k, x in enumerate(values)]
         if not all(kept) or len(old) != len(values):
-            self.edits[name] = " ".join(old[k] if stays else spelled(x) for k, (stays, x) in enumerate(zip(kept, values, strict=True)))
+            self.edits[name] = " ".join(
+                old[k] if stays else spelled(x) for k, (stays, x) in enumerate(zip(kept, values, strict=True))
+            )
 
     def rename(self, tag: str, *removed: str) -> None:
         """Gives the element another tag, without some of its attributes."""
@@ -100,16 +103,16 @@ class MjcfElement:
 
 
 class MjcfText:
-    """An MJCF and the changes to it.
+    """An MJCF and the changes to it. data: its text, if it is not that of the file.
 
     Raises:
         NotEditable: no MJCF, no well-formed XML, or an included file is not found.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.data = path, path.read_bytes()
+    def __init__(self, path: Path, data: bytes | None = None) -> None:
+        self.path, self.data = path, path.read_bytes() if data is None else data
         self.includes: list[MjcfElement] = []  # of the main file; what they bring stands in their place
-        self.root = self._parsed(path, None)
+        self.root = self._parsed(path, self.data, None)
         if self.root.tag != "mujoco":
             raise NotEditable(f"{path.name} is a URDF")
         self._pieces: list[tuple[int, int, bytes]] = []
@@ -160,11 +163,11 @@ class MjcfText:
             return
         for name, value in values.items():
             section.set(name, value)
-        flag = section.child("flag")
-        if flags and flag is None:
+        if flag := section.child("flag"):
+            for name, state in flags.items():
+                flag.set(name, state)
+        elif flags:
             self.insert_in(section, f"<flag{_attributes(flags)}/>")
-        for name, state in flags.items() if flag else ():
-            flag.set(name, state)
 
     def insert_after(self, element: MjcfElement, written: str) -> None:
         """Adds an element after another, on a line of its own if the other has one."""
@@ -239,9 +242,9 @@ class MjcfText:
         """White space by which the file indents the children of its root."""
         return next(filter(None, (self._indent(child) for child in self.root.children if child.include is None)), b"  ")
 
-    def _parsed(self, path: Path, include: MjcfElement | None) -> MjcfElement:
+    def _parsed(self, path: Path, data: bytes, include: MjcfElement | None) -> MjcfElement:
         """Root of a file, with included files in the place of their elements."""
-        data, parser, open_ones = path.read_bytes(), expat.ParserCreate(), [MjcfElement("", {}, 0, 0)]
+        parser, open_ones = expat.ParserCreate(), [MjcfElement("", {}, 0, 0)]
 
         def begin(tag: str, attributes: dict[str, str]) -> None:
             start = parser.CurrentByteIndex
@@ -261,11 +264,13 @@ class MjcfText:
                 siblings = open_ones[-1].children
                 siblings.pop()
                 self.includes += [] if include else [element]
-                siblings.extend(self._parsed(self._included(element, path), include or element).children)
+                file = self._included(element, path)
+                siblings.extend(self._parsed(file, file.read_bytes(), include or element).children)
 
         parser.StartElementHandler, parser.EndElementHandler = begin, end
         try:
-            parser.Parse(data, True)
+            blank = lambda comment: re.sub(rb"[^\n]", b" ", comment[0])
+            parser.Parse(COMMENT.sub(blank, data), True)  # MuJoCo takes a comment with two hyphens, expat does not
         except expat.ExpatError as error:
             raise NotEditable(f"{path.name} is no well-formed XML: {error}") from error
         return open_ones[0].children[0]
@@ -281,12 +286,14 @@ class MjcfText:
 
 def with_comment(data: bytes, comment: str) -> bytes:
     """MJCF with a comment before its root element."""
-    found = DECLARATION.match(data)
-    assert found is not None
     newline = b"\r\n" if b"\r\n" in data else b"\n"
-    before = newline if b"<?" in found[0] and not found[1] else b""
-    safe = comment.replace("--", "- -").encode().replace(b"\n", newline)
-    return data[: found.end()] + before + b"<!-- " + safe + b" -->" + newline + data[found.end() :]
+    safe = b"<!-- " + comment.replace("--", "- -").encode().replace(b"\n", newline) + b" -->"
+
+    def added(found: re.Match[bytes]) -> bytes:
+        shares_line = b"<?" in found[0] and not found[1]
+        return found[0] + safe + (b"" if shares_line else newline)
+
+    return DECLARATION.sub(added, data, count=1)
 
 
 def spelled(value: float) -> str:

@@ -26,8 +26,7 @@ JOINT = ("stiffness", "jnt_stiffness", "jnt_stiffnesspoly"), ("damping", "dof_da
 ACTUATOR = ("gainprm", "biasprm", "gear", "forcerange", "ctrlrange", "biastype", "forcelimited")
 BODY = ("mass", "inertia", "ipos", "iquat")
 OPTION = ("gravity", "wind", "density")
-ROUNDED = 5e-6  # relative; a written number has six digits
-EQUAL = 1e-5  # relative; between compiled texts
+ROUNDED = 2e-5  # relative; a written number has six digits
 SOURCE = ("paths", "npaths", "nbuffer", "signature")  # what of a model is of its text
 # Frames of the inertia may be numbered otherwise; ctrlspec says what a command means, and no dynamics.
 FRAMES = ("body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe", "bvh_aabb", "actuator_ctrlspec")
@@ -63,23 +62,30 @@ def next_mjcf(robot: RobotDescription, model: Any, delay: float, out: Path, comm
         _refuse_unlike(robot, _compiled_at(data, out), model)
         spec = robot.spec.copy()
         _compiled(spec)
-        return NextMjcf(data, _unified(spec.to_xml(), text, robot.path.name, out.name), f"MuJoCo wrote {out.name} anew without comments and layout: {why}")
+        return NextMjcf(
+            data,
+            _unified(spec.to_xml(), text, robot.path.name, out.name),
+            f"MuJoCo wrote {out.name} anew without comments and layout: {why}",
+        )
 
 
 def patched(robot: RobotDescription, model: Any, delay: float = 0.0, folder: Path | None = None) -> str:
     """MJCF that MuJoCo writes. delay: s that all commands come later. folder: where the text will lie, if it is another."""
     spec = _applied(robot, _changes(robot, model, delay))
     _compiled(spec)
-    for name, value in _folders(robot, folder or robot.path.parent).items():
-        setattr(spec, name, value)
-    return spec.to_xml()
+    text = MjcfText(robot.path, spec.to_xml().encode())
+    text.set_section("compiler", _folders(robot, folder or robot.path.parent), {})
+    return text.written().decode()
 
 
 def differing(one: Any, other: Any) -> str:
     """Name of the first field in which two MjModels differ, "" if there is none. Inertias are compared as tensors."""
-    pairs = [(name, getattr(one, name), getattr(other, name)) for name in dir(one) if name[0] != "_" and name not in (*SOURCE, *FRAMES)]
+    pairs = [
+        (name, getattr(one, name), getattr(other, name)) for name in dir(one) if name[0] != "_" and name not in (*SOURCE, *FRAMES)
+    ]
     pairs += [(f"opt.{name}", getattr(one.opt, name), getattr(other.opt, name)) for name in dir(one.opt) if name[0] != "_"]
-    pairs += [("body_inertia", _tensors(one), _tensors(other))]
+    size = np.maximum(other.body_inertia.sum(1), 1e-300)[:, None, None]
+    pairs += [("body_inertia", _tensors(one) / size, _tensors(other) / size)]
     for name, a, b in pairs:
         if name.endswith("pathadr") or not isinstance(a, int | float | bytes | np.ndarray):
             continue
@@ -89,24 +95,26 @@ def differing(one: Any, other: Any) -> str:
             continue
         a, b = np.asarray(a), np.asarray(b)
         near = 1e-9 * np.abs(b[np.isfinite(b)]).max(initial=0.0) if b.dtype.kind == "f" else 0.0
-        if a.shape != b.shape or not np.allclose(a, b, EQUAL if b.dtype.kind == "f" else 0.0, near, equal_nan=True):
+        near = ROUNDED if name == "body_inertia" else near
+        if a.shape != b.shape or not np.allclose(a, b, ROUNDED if b.dtype.kind == "f" else 0.0, near, equal_nan=True):
             return name
     return ""
 
 
 def _changes(robot: RobotDescription, model: Any, delay: float) -> Changes:
     """Attributes with which MuJoCo compiles the description to the fields of `model`; other ones follow from some of them."""
-    found, compiled = _between(robot, robot.model, model), None
+    found = _between(robot, robot.model, model)
     _free_inertia(robot, found, model)
     for _ in range(2):
-        compiled = _compiled(_applied(robot, found))
-        more = _between(robot, compiled, model)  # such as kv, which MuJoCo computes from dampratio and armature
+        more = _between(
+            robot, _compiled(_applied(robot, found)), model
+        )  # such as kv, which MuJoCo computes from dampratio and armature
         if not more:
             break
         for key, values in more.items():
             found.setdefault(key, {}).update(values)
     else:
-        _refuse_unlike(robot, compiled, model)
+        _refuse_unlike(robot, _compiled(_applied(robot, found)), model)
     for a in range(len(robot.spec.actuators) if delay else 0):
         later = float(robot.delays[a] + delay)
         samples = int(np.ceil(later / model.opt.timestep)) + 1
@@ -143,25 +151,27 @@ def _free_inertia(robot: RobotDescription, found: Changes, model: Any) -> None:
 
 def _between(robot: RobotDescription, before: Any, model: Any) -> Changes:
     """Attributes whose fields differ between two models."""
-    spec, found = robot.spec, {}
+    spec, found = robot.spec, Changes()
     kept = [i for i, joint in enumerate(spec.joints) if joint.type != mujoco.mjtJoint(FREE)]
     for i, known in zip(kept, robot.joints, strict=True):
-        values = {}
+        values: dict[str, tuple[Any, Any]] = {}
         for name, first, more in JOINT:
             place = known.joint if first.startswith("jnt") else known.dof
             now, then = (np.append(getattr(x, first)[place], getattr(x, more)[place]) for x in (model, before))
             values[name] = now, then
         for name in ("frictionloss", "armature"):
-            values[name] = tuple(float(getattr(x, f"dof_{name}")[known.dof]) for x in (model, before))
+            values[name] = getattr(model, f"dof_{name}")[known.dof], getattr(before, f"dof_{name}")[known.dof]
         found["joint", i] = _moved(values)
     for a in range(len(spec.actuators)):
-        found["actuator", a] = _moved({n: tuple(getattr(x, f"actuator_{n}")[a] for x in (model, before)) for n in ACTUATOR})
+        found["actuator", a] = _moved(
+            {n: (getattr(model, f"actuator_{n}")[a], getattr(before, f"actuator_{n}")[a]) for n in ACTUATOR}
+        )
     for number in robot.bodies.values():
-        values = {n: tuple(getattr(x, f"body_{n}")[number] for x in (model, before)) for n in BODY}
+        values = {n: (getattr(model, f"body_{n}")[number], getattr(before, f"body_{n}")[number]) for n in BODY}
         if moved := _moved(values):
-            explicit = spec.bodies[number].explicitinertial
-            exact = {n: now if explicit else _six(now) for n, (now, _) in values.items()}
-            found["body", number] = exact | moved
+            whole = {n: now for n, (now, _) in values.items()} | moved
+            is_stated = spec.bodies[number].explicitinertial  # otherwise all of it is new in the text
+            found["body", number] = whole if is_stated else {n: _six(value) for n, value in whole.items()}
     found["option", 0] = _moved({n: (getattr(model.opt, n), getattr(before.opt, n)) for n in OPTION})
     return {key: values for key, values in found.items() if values}
 
@@ -193,16 +203,15 @@ def _applied(robot: RobotDescription, found: Changes) -> Any:
             continue
         if "inertiafromgeom" in values:
             values = values | {"inertiafromgeom": mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO}
-            for n, body in enumerate(spec.bodies):
-                body.explicitinertial = body.explicitinertial and ("body", n) in found
         if part == "body":
             body = spec.bodies[i]
             body.explicitinertial, body.fullinertia = True, [np.nan] * 6
+            body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         parts = {"joint": spec.joints, "actuator": spec.actuators, "body": spec.bodies}
         owner = parts[part][i] if part in parts else {"option": spec.option, "size": spec, "compiler": spec.compiler}[part]
         for name, value in values.items():
-            kind = {"biastype": lambda x: mujoco.mjtBias(int(x)), "forcelimited": int}.get(name, lambda x: x)
-            setattr(owner, name, kind(value))
+            whole = int(value) if name in ("biastype", "forcelimited") else value
+            setattr(owner, name, mujoco.mjtBias(whole) if name == "biastype" else whole)
     return spec
 
 
@@ -234,7 +243,8 @@ def _refuse_unlike(robot: RobotDescription, compiled: Any, model: Any) -> None:
     """Raises ConfigError if a compiled text has other fields than the model with the effects."""
     if other := _between(robot, compiled, model):
         (part, i), values = next(iter(other.items()))
-        what = f"{' and '.join(values)} of {part} {i + 1}"
+        parts = {"joint": robot.spec.joints, "actuator": robot.spec.actuators, "body": robot.spec.bodies}
+        what = f"{', '.join(values)} of {part} {(part in parts and parts[part][i].name) or i}"
         why = "its compiler changes it; look for settotalmass, boundmass, balanceinertia, inertiafromgeom, a scaled frame"
         raise ConfigError(f"{robot.path}: MuJoCo does not take {what} as the effects need it: {why}")
 
@@ -268,7 +278,9 @@ def _write_actuator(element: MjcfElement, values: dict[str, Any], robot: RobotDe
     gain, bias = wanted.actuator_gainprm[a], wanted.actuator_biasprm[a]
     if values.keys() & {"gainprm", "biasprm", "biastype"}:
         kp, kv = (0.0 if x == 0.0 else x for x in (-bias[1], -bias[2]))
-        proper = gain[0] == {"position": kp, "velocity": kv}.get(element.tag) and not (gain[1:].any() or bias[0] or bias[3:].any())
+        proper = gain[0] == {"position": kp, "velocity": kv}.get(element.tag) and not (
+            gain[1:].any() or bias[0] or bias[3:].any()
+        )
         if element.tag == "general":
             for name in ("gainprm", "biasprm"):
                 if name in values:
@@ -348,7 +360,7 @@ def _seen_from(folder: Path, own: Path, name: str) -> str:
         return target.as_posix()
 
 
-def _unified(before: str, after: str, *names: str) -> str:
+def _unified(before: str, after: str, old: str, new: str) -> str:
     """Unified diff of two texts."""
-    lines = difflib.unified_diff(before.splitlines(keepends=True), after.splitlines(keepends=True), *names, n=1)
+    lines = difflib.unified_diff(before.splitlines(keepends=True), after.splitlines(keepends=True), old, new, n=1)
     return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
