@@ -278,6 +278,7 @@ GEOMS = ARM.replace(UPPER, BALL).replace(LOWER, '<geom size="0.04" pos="0 0 -0.1
 TURNED = '<inertial pos="0 0 -0.2" mass="0.6" euler="10 20 -30" diaginertia="0.004 0.0038 0.0005"/>'
 COMPILERS = {  # attributes -> (effect, its values, added lines beside that of the body or actuator)
     'inertiafromgeom="true"': ("body_mass@lower", {"mass": 0.1}, ['<compiler inertiafromgeom="auto"/>']),
+    'fusestatic="true"': ("body_mass@lower", {"mass": 0.1}, []),
     'eulerseq="XYZ"': ("payload@upper", {"mass": 0.1}, []),
     'settotalmass="3"': ("payload@lower", {"mass": 0.1}, ['<compiler settotalmass="3.1"/>']),
     'autolimits="false"': ("torque_saturation@elbow", {"limit": 0.4}, []),
@@ -290,6 +291,8 @@ COMPILERS = {  # attributes -> (effect, its values, added lines beside that of t
 def test_compiler_of_the_file_is_heeded(compiler, tmp_path):
     name, values, lines = COMPILERS[compiler]
     text = GEOMS.replace("<option", f"<compiler {compiler}/>\n  <option")
+    if "fuse" in compiler:
+        text = text.replace("<worldbody>", '<worldbody><body name="post"><geom size="0.1"/></body>')
     if "euler" in compiler:
         text = text.replace(BALL, TURNED)
     if "limits" in compiler:

@@ -1,9 +1,9 @@
 """`calibrate model LOGS --model robot.xml`: the numbers that a robot's description leaves open, from its own logs.
 
 Friction, damping and armature of each joint, gains of each actuator, the delay of the commands, and mass, inertia and centre of
-each body within their tolerance, each with a 90 % interval. --out writes those that the logs tell into the text of the MJCF; the others
-keep their stated value, and the table says why. What is fitted here is no longer missing for gap find: leave out with --only what
-is to be asked there.
+each body within their tolerance, each with a 90 % interval. --out writes those that the logs tell into the text of the MJCF; its
+comments and layout stay. The others keep their stated value, and the table says why. What is fitted here is no longer missing for
+gap find: leave out with --only what is to be asked there.
 
     fishmj calibrate model LOGS --model robot.xml --out robot.calibrated.xml
     fishmj calibrate model LOGS --model robot.xml --only gain,delay,bodies

@@ -85,7 +85,7 @@ def differing(one: Any, other: Any) -> str:
     ]
     pairs += [(f"opt.{name}", getattr(one.opt, name), getattr(other.opt, name)) for name in dir(one.opt) if name[0] != "_"]
     size = np.maximum(other.body_inertia.sum(1), 1e-300)[:, None, None]
-    pairs += [("body_inertia", _tensors(one) / size, _tensors(other) / size)]
+    pairs += [("body_inertia", *(_tensors(m.body_inertia, m.body_iquat) / size for m in (one, other)))]
     for name, a, b in pairs:
         if name.endswith("pathadr") or not isinstance(a, int | float | bytes | np.ndarray):
             continue
@@ -170,10 +170,17 @@ def _between(robot: RobotDescription, before: Any, model: Any) -> Changes:
         values = {n: (getattr(model, f"body_{n}")[number], getattr(before, f"body_{n}")[number]) for n in BODY}
         if moved := _moved(values):
             whole = {n: now for n, (now, _) in values.items()} | moved
-            is_stated = spec.bodies[number].explicitinertial  # otherwise all of it is new in the text
-            found["body", number] = whole if is_stated else {n: _six(value) for n, value in whole.items()}
+            place = _place_of(spec, model, number)
+            is_stated = spec.bodies[place].explicitinertial  # otherwise all of it is new in the text
+            found["body", place] = whole if is_stated else {n: _six(value) for n, value in whole.items()}
     found["option", 0] = _moved({n: (getattr(model.opt, n), getattr(before.opt, n)) for n in OPTION})
     return {key: values for key, values in found.items() if values}
+
+
+def _place_of(spec: Any, m: Any, number: int) -> int:
+    """Place in an MjSpec of a body of its MjModel, from which static ones may be left out by `fusestatic`."""
+    name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_BODY, number)
+    return next((i for i, body in enumerate(spec.bodies) if name and body.name == name), number)
 
 
 def _moved(pairs: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
@@ -229,7 +236,7 @@ def _compiled(spec: Any) -> Any:
 def _compiled_at(data: bytes, out: Path) -> Any:
     """MjModel of a text that will be the file `out`. Raises NotEditable if MuJoCo refuses it there."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    path = temporary_beside(out).with_suffix(".xml")
+    path = temporary_beside(out, ".xml")
     try:
         path.write_bytes(data)
         return _compiled(mujoco.MjSpec.from_file(str(path)))
@@ -261,7 +268,7 @@ def _own_text(robot: RobotDescription, found: Changes, wanted: Any, folder: Path
         elif part == "actuator":
             _write_actuator(text.matched(text.actuators, names(spec.actuators))[i], values, robot, wanted, i)
         elif part == "body":
-            _write_inertia(text, text.matched(text.bodies, names(spec.bodies[1:]))[i - 1], values, wanted, i)
+            _write_inertia(text, text.matched(text.bodies, names(spec.bodies[1:]))[i - 1], values)
     folders, compiler = _folders(robot, folder), text.root.child("compiler")
     if compiler and "assetdir" in compiler.attributes and len(set(folders.values())) == 1:
         folders = {"assetdir": folders.popitem()[1]}
@@ -313,7 +320,7 @@ def _write_actuator(element: MjcfElement, values: dict[str, Any], robot: RobotDe
         element.set("forcelimited", "true")
 
 
-def _write_inertia(text: MjcfText, body: MjcfElement, values: dict[str, Any], wanted: Any, b: int) -> None:
+def _write_inertia(text: MjcfText, body: MjcfElement, values: dict[str, Any]) -> None:
     """Writes a body's <inertial> in the form that it has, or a new one."""
     element = body.child("inertial")
     if element is None:
@@ -323,20 +330,19 @@ def _write_inertia(text: MjcfText, body: MjcfElement, values: dict[str, Any], wa
     element.set("pos", values["ipos"])
     element.set("mass", values["mass"])
     if "fullinertia" in element.attributes:
-        tensor = _tensors(wanted)[b]
+        tensor = _tensors(values["inertia"][None], values["iquat"][None])[0]
         full = [*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]]
         element.set("fullinertia", _six(np.where(np.abs(full) < 1e-12 * np.trace(tensor), 0.0, full)))
     else:
         element.set("diaginertia", values["inertia"])
 
 
-def _tensors(m: Any) -> np.ndarray:
-    """(nbody, 3, 3) inertia of each body about its centre of mass, in the body's frame."""
-    turn = np.empty((m.nbody, 9))
-    for b in range(m.nbody):
-        mujoco.mju_quat2Mat(turn[b], m.body_iquat[b])
-    turn = turn.reshape(-1, 3, 3)
-    return np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
+def _tensors(inertia: np.ndarray, iquat: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) inertia of bodies about their centres of mass, in the bodies' frames, from principal moments and axes."""
+    turn = np.empty((len(iquat), 3, 3))
+    for b, quat in enumerate(iquat):
+        mujoco.mju_quat2Mat(turn[b].reshape(9), quat)
+    return np.einsum("bij,bj,bkj->bik", turn, inertia, turn)
 
 
 def _folders(robot: RobotDescription, folder: Path) -> dict[str, str]:
