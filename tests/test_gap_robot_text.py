@@ -208,7 +208,7 @@ def test_general_in_place_of_a_servo_moves_alike(tmp_path):
 # ---------------------------------------------------------------------------------------------------------------------- fallbacks
 JOINT_OF_CLASSES = '<worldbody><body name="foot" pos="0 0 0.2"><joint name="ankle"/><geom size="0.02"/></body></worldbody>'
 REPEATED = """<mujoco><worldbody><replicate count="2" offset="0 0.2 0"><body name="finger"><joint name="bend" axis="0 1 0"/>
-<geom size="0.02" pos="0 0 -0.1"/></body></replicate></worldbody><actuator><motor name="m" joint="bend0"/></actuator></mujoco>"""
+<geom size="0.02123456789" pos="0 0 -0.1"/></body></replicate></worldbody><actuator><motor name="m" joint="bend0"/></actuator></mujoco>"""
 URDF = """<robot name="leg"><link name="base"><inertial><mass value="1"/>
 <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="leg"><inertial><mass value="1"/>
 <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="hip" type="revolute">
@@ -370,6 +370,14 @@ def test_bytes_of_the_author_stay(newline, mark, tmp_path):
     assert first == after.replace(b'"1.0"?>', b'"1.0"?><!-- one - - two -->')
     path.write_bytes(first.replace(b"7 &lt; 8", b"7"))
     assert mujoco.MjModel.from_xml_path(str(path)).actuator_gainprm[0, 0] == 7.0
+
+
+def test_diff_of_a_file_with_other_line_ends_is_short(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_bytes(ARM.strip().replace("\n", "\r\n").encode())
+    robot = read_robot(path)
+    made = next_mjcf(robot, *with_effect(robot, "coulomb_friction@elbow", torque=0.06), tmp_path / "next.xml", "a comment")
+    assert made.diff.count("\n+") == 3 and made.data.count(b"\r\n") == path.read_bytes().count(b"\r\n") + 1
 
 
 def test_comment_stands_before_the_first_element():

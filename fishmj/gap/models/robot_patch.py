@@ -27,6 +27,7 @@ ACTUATOR = ("gainprm", "biasprm", "gear", "forcerange", "ctrlrange", "biastype",
 BODY = ("mass", "inertia", "ipos", "iquat")
 OPTION = ("gravity", "wind", "density")
 ROUNDED = 2e-5  # relative; a written number has six digits
+REWRITTEN = 1e-3  # relative; MuJoCo rounds the sizes of geoms, too
 SOURCE = ("paths", "npaths", "nbuffer", "signature")  # what of a model is of its text
 # Frames of the inertia may be numbered otherwise; ctrlspec says what a command means, and no dynamics.
 FRAMES = ("body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe", "bvh_aabb", "actuator_ctrlspec")
@@ -53,20 +54,18 @@ def next_mjcf(robot: RobotDescription, model: Any, delay: float, out: Path, comm
         data = _own_text(robot, found, wanted, out.parent, comment)
         if other := differing(_compiled_at(data, out), wanted):
             raise NotEditable(f"MuJoCo compiles the changed text of {robot.path.name} to another {other}")
-        before = robot.path.read_text(encoding="utf-8", errors="replace")
-        diff = _unified(before, data.decode(errors="replace"), robot.path.name, out.name)
+        before, after = (part.decode(errors="replace") for part in (robot.path.read_bytes(), data))
+        diff = _unified(before, after, robot.path.name, out.name)
         return NextMjcf(data, diff, f"{out.name} is the text of {robot.path.name} with these attributes changed")
     except NotEditable as why:
         text = patched(robot, model, delay, out.parent)
         data = with_comment(text.encode(), comment)
-        _refuse_unlike(robot, _compiled_at(data, out), model)
+        unlike = _between(robot, _compiled_at(data, out), model, REWRITTEN)
+        _refuse(robot, {key: values for key, values in unlike.items() if key in found})
         spec = robot.spec.copy()
         _compiled(spec)
-        return NextMjcf(
-            data,
-            _unified(spec.to_xml(), text, robot.path.name, out.name),
-            f"MuJoCo wrote {out.name} anew without comments and layout: {why}",
-        )
+        diff = _unified(spec.to_xml(), text, robot.path.name, out.name)
+        return NextMjcf(data, diff, f"MuJoCo wrote {out.name} anew without comments and layout: {why}")
 
 
 def patched(robot: RobotDescription, model: Any, delay: float = 0.0, folder: Path | None = None) -> str:
@@ -105,16 +104,14 @@ def _changes(robot: RobotDescription, model: Any, delay: float) -> Changes:
     """Attributes with which MuJoCo compiles the description to the fields of `model`; other ones follow from some of them."""
     found = _between(robot, robot.model, model)
     _free_inertia(robot, found, model)
-    for _ in range(2):
-        more = _between(
-            robot, _compiled(_applied(robot, found)), model
-        )  # such as kv, which MuJoCo computes from dampratio and armature
-        if not more:
-            break
+    more: Changes = {}
+    for _ in range(3):  # kv, for one, follows from dampratio and armature
         for key, values in more.items():
             found.setdefault(key, {}).update(values)
-    else:
-        _refuse_unlike(robot, _compiled(_applied(robot, found)), model)
+        more = _between(robot, _compiled(_applied(robot, found)), model)
+        if not more:
+            break
+    _refuse(robot, more)
     for a in range(len(robot.spec.actuators) if delay else 0):
         later = float(robot.delays[a] + delay)
         samples = int(np.ceil(later / model.opt.timestep)) + 1
@@ -149,8 +146,8 @@ def _free_inertia(robot: RobotDescription, found: Changes, model: Any) -> None:
         found["compiler", 0] = changed
 
 
-def _between(robot: RobotDescription, before: Any, model: Any) -> Changes:
-    """Attributes whose fields differ between two models."""
+def _between(robot: RobotDescription, before: Any, model: Any, near: float = ROUNDED) -> Changes:
+    """Attributes whose fields differ between two models, by more than a share `near`."""
     spec, found = robot.spec, Changes()
     kept = [i for i, joint in enumerate(spec.joints) if joint.type != mujoco.mjtJoint(FREE)]
     for i, known in zip(kept, robot.joints, strict=True):
@@ -161,19 +158,19 @@ def _between(robot: RobotDescription, before: Any, model: Any) -> Changes:
             values[name] = now, then
         for name in ("frictionloss", "armature"):
             values[name] = getattr(model, f"dof_{name}")[known.dof], getattr(before, f"dof_{name}")[known.dof]
-        found["joint", i] = _moved(values)
+        found["joint", i] = _moved(values, near)
     for a in range(len(spec.actuators)):
         found["actuator", a] = _moved(
-            {n: (getattr(model, f"actuator_{n}")[a], getattr(before, f"actuator_{n}")[a]) for n in ACTUATOR}
+            {n: (getattr(model, f"actuator_{n}")[a], getattr(before, f"actuator_{n}")[a]) for n in ACTUATOR}, near
         )
     for number in robot.bodies.values():
         values = {n: (getattr(model, f"body_{n}")[number], getattr(before, f"body_{n}")[number]) for n in BODY}
-        if moved := _moved(values):
+        if moved := _moved(values, near):
             whole = {n: now for n, (now, _) in values.items()} | moved
             place = _place_of(spec, model, number)
             is_stated = spec.bodies[place].explicitinertial  # otherwise all of it is new in the text
             found["body", place] = whole if is_stated else {n: _six(value) for n, value in whole.items()}
-    found["option", 0] = _moved({n: (getattr(model.opt, n), getattr(before.opt, n)) for n in OPTION})
+    found["option", 0] = _moved({n: (getattr(model.opt, n), getattr(before.opt, n)) for n in OPTION}, near)
     return {key: values for key, values in found.items() if values}
 
 
@@ -183,12 +180,12 @@ def _place_of(spec: Any, m: Any, number: int) -> int:
     return next((i for i, body in enumerate(spec.bodies) if name and body.name == name), number)
 
 
-def _moved(pairs: dict[str, tuple[Any, Any]]) -> dict[str, Any]:
+def _moved(pairs: dict[str, tuple[Any, Any]], near: float) -> dict[str, Any]:
     """Those of {name: (now, then)} that differ, with six digits where they do."""
     out = {}
     for name, (now, then) in pairs.items():
         a, b = np.asarray(now, float), np.asarray(then, float)
-        differ = np.abs(a - b) > ROUNDED * np.abs(a) + 1e-12 * np.abs(a).max()
+        differ = np.abs(a - b) > near * np.abs(a) + 1e-12 * np.abs(a).max()
         if differ.any():
             out[name] = np.where(differ, _six(a), a) if a.ndim else _six(a).item()
     return out
@@ -246,10 +243,9 @@ def _compiled_at(data: bytes, out: Path) -> Any:
         path.unlink(missing_ok=True)
 
 
-def _refuse_unlike(robot: RobotDescription, compiled: Any, model: Any) -> None:
-    """Raises ConfigError if a compiled text has other fields than the model with the effects."""
-    if other := _between(robot, compiled, model):
-        (part, i), values = next(iter(other.items()))
+def _refuse(robot: RobotDescription, unlike: Changes) -> None:
+    """Raises ConfigError if compiled attributes are not those that the effects need."""
+    for (part, i), values in unlike.items():
         parts = {"joint": robot.spec.joints, "actuator": robot.spec.actuators, "body": robot.spec.bodies}
         what = f"{', '.join(values)} of {part} {(part in parts and parts[part][i].name) or i}"
         why = "its compiler changes it; look for settotalmass, boundmass, balanceinertia, inertiafromgeom, a scaled frame"
