@@ -208,7 +208,8 @@ def test_general_in_place_of_a_servo_moves_alike(tmp_path):
 # ---------------------------------------------------------------------------------------------------------------------- fallbacks
 JOINT_OF_CLASSES = '<worldbody><body name="foot" pos="0 0 0.2"><joint name="ankle"/><geom size="0.02"/></body></worldbody>'
 REPEATED = """<mujoco><worldbody><replicate count="2" offset="0 0.2 0"><body name="finger"><joint name="bend" axis="0 1 0"/>
-<geom size="0.02123456789" pos="0 0 -0.1"/></body></replicate></worldbody><actuator><motor name="m" joint="bend0"/></actuator></mujoco>"""
+<geom size="0.02123456789" pos="0 0 -0.1"/></body></replicate></worldbody>
+<actuator><motor name="m" joint="bend0"/></actuator></mujoco>"""
 URDF = """<robot name="leg"><link name="base"><inertial><mass value="1"/>
 <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="leg"><inertial><mass value="1"/>
 <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="hip" type="revolute">
@@ -350,6 +351,24 @@ def test_version_in_another_folder_finds_its_files(kind, tmp_path):
     again = mujoco.MjModel.from_xml_path(str(told["path"]))
     assert again.nmesh == 1 and again.body("lower").mass[0] == pytest.approx(0.5) and again.dof_damping.tolist() == [0.06, 0.02]
     assert list(away.iterdir()) == [told["path"]]
+
+
+@pytest.mark.parametrize(
+    ("option", "line"), [("included", '  <option gravity="0.3 0 -3"/>'), ("absent", '  <option gravity="0.981 0 -9.81"/>')]
+)
+def test_option_that_the_file_has_not_is_added(option, line, tmp_path):
+    """A later section wins in MuJoCo, so that of the included file stays."""
+    path, own = tmp_path / "arm.xml", '  <option timestep="0.002" integrator="implicitfast"/>\n'
+    lighter = own.replace("/>", ' gravity="0 0 -3"/>')
+    (tmp_path / "options.xml").write_text(f"<mujoco>{lighter}</mujoco>")
+    path.write_text(ARM.replace(own, '  <include file="options.xml"/> <!-- g -->\n' if option == "included" else ""))
+    robot = read_robot(path)
+    m, _ = with_effect(robot, "base_tilt", pitch=0.1, roll=0.0)
+    made, compiled, _ = written_next(robot, tmp_path, "base_tilt", pitch=0.1, roll=0.0)
+    new = [text for text in made.data.decode().splitlines() if text not in path.read_text().splitlines()]
+    assert new == ["<!-- a comment -->", line]
+    np.testing.assert_allclose(compiled.opt.gravity, m.opt.gravity, rtol=1e-5)
+    assert compiled.opt.timestep == robot.model.opt.timestep
 
 
 # ---------------------------------------------------------------------------------------------------------------------- the text
