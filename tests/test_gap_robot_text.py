@@ -239,6 +239,12 @@ ANEW = {  # file -> (texts by file name, effect, its values, sentence)
         {"mass": 0.1},
         "the changed text of arm.xml to another body_inertia",
     ),
+    "pid.xml": (
+        {"pid.xml": ARM.replace(f"<motor {MOTOR}/>", '<pid name="elbow" joint="elbow" kp="5" input="pos"/>')},
+        "servo_gain@elbow",
+        {"gain": 0.25},
+        "<pid> has no attribute of its own",
+    ),
     "tail.xml": (
         {"tail.xml": ARM.replace('model="arm"', 'model="arm < leg"')},
         "rotor_inertia@elbow",
@@ -260,7 +266,7 @@ def test_text_that_cannot_hold_the_change_is_written_anew(name, tmp_path):
     assert f"MuJoCo wrote {told['path'].name} anew without comments and layout: " in told["reason"]
     assert sentence in told["reason"] and told["path"].read_text().startswith(f"<!-- {FIRST}")
     again, (m, _) = read_robot(told["path"]).model, with_effect(robot, effect, **values)
-    for field in ("dof_frictionloss", "dof_armature", "body_mass", "body_inertia"):
+    for field in ("dof_frictionloss", "dof_armature", "body_mass", "body_inertia", "actuator_biasprm"):
         np.testing.assert_allclose(getattr(again, field), getattr(m, field), rtol=2e-5)
 
 

@@ -25,6 +25,7 @@ from fishmj.gap.models.robot_description import FREE, RobotDescription
 JOINT = ("stiffness", "jnt_stiffness", "jnt_stiffnesspoly"), ("damping", "dof_damping", "dof_dampingpoly")
 ACTUATOR = ("gainprm", "biasprm", "gear", "forcerange", "ctrlrange", "biastype", "forcelimited")
 BODY = ("mass", "inertia", "ipos", "iquat")
+GAINS, BIASES = {0: "fixed", 1: "affine"}, {0: "none", 1: "affine"}  # of MuJoCo's enumerations
 OPTION = ("gravity", "wind", "density")
 ROUNDED = 2e-5  # relative; a written number has six digits
 REWRITTEN = 1e-3  # relative; MuJoCo rounds the sizes of geoms, too
@@ -302,10 +303,12 @@ def _write_actuator(element: MjcfElement, values: dict[str, Any], robot: RobotDe
             if "inheritrange" in element.attributes:
                 element.set("ctrlrange", wanted.actuator_ctrlrange[a])
             element.rename("general", "kp", "kv", "dampratio", "timeconst", "inheritrange")
-            kind = ["fixed", "affine"][wanted.actuator_gaintype[a]]
-            element.set("gaintype", kind)
+            gaintype, biastype = GAINS.get(wanted.actuator_gaintype[a]), BIASES.get(wanted.actuator_biastype[a])
+            if not gaintype or not biastype:
+                raise NotEditable(f"<{element.tag}> has no attribute of its own for its changed gain or bias")
+            element.set("gaintype", gaintype)
             element.set("gainprm", gain)
-            element.set("biastype", ["none", "affine"][wanted.actuator_biastype[a]])
+            element.set("biastype", biastype)
             if wanted.actuator_biastype[a]:
                 element.set("biasprm", bias)
     for name in ("gear", "forcerange", "ctrlrange", "delay", "nsample"):
