@@ -15,7 +15,8 @@ LEG = """<?xml version="1.0"?> <!-- A leg on a stand
         <body name="shank" pos="0 0 -0.3">
           <inertial pos="0 0 -0.15000000000000002" mass="0.4"
                     fullinertia="0.003 0.0031 0.0004 0 1e-5 0"/>
-          <joint class="stiff"/>
+          <joint name="knee" class="stiff"
+                 axis="0 1 0"/>
         </body>
       </body>
     </frame>
@@ -26,7 +27,7 @@ LEG = """<?xml version="1.0"?> <!-- A leg on a stand
     <velocity name="knee" joint="knee" kv="0.8" forcelimited="false"></velocity>
   </actuator>
 </mujoco>
-""".replace('<joint class="stiff"/>', '<joint name="knee" class="stiff"\n                 axis="0 1 0"/>')
+"""
 CLASSES = """<mujocoinclude>
   <default>
     <default class="leg">
