@@ -122,7 +122,9 @@ def test_calibration_finds_friction_damping_and_armature(arm, stiff_logs, tmp_pa
     left = [n for n in found["numbers"] if not n["is_told"]]
     assert {"inertia@upper"} <= {n["name"] for n in left} and found["misfit"][1] < 0.1 * found["misfit"][0]
     assert m.body_inertia[1].tolist() == [0.004, 0.004, 0.0005]  # not told, so as stated
-    assert "90 % intervals" in out.read_text()
+    text = out.read_text()
+    assert text.startswith("<!-- calibrated by fishmj calibrate model") and "90 % intervals" in text
+    assert [line for line in ARM.splitlines() if "joint name" not in line and line not in text.splitlines()] == []
 
 
 def test_number_that_no_log_shows_is_left(arm, folder):

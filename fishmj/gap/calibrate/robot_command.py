@@ -1,9 +1,9 @@
 """`calibrate model LOGS --model robot.xml`: the numbers that a robot's description leaves open, from its own logs.
 
 Friction, damping and armature of each joint, gains of each actuator, the delay of the commands, and mass, inertia and centre of
-each body within their tolerance, each with a 90 % interval. --out writes those that the logs tell into a new MJCF; the others
-keep their stated value, and the table says why. What is fitted here is no longer missing for gap find: leave out with --only what
-is to be asked there.
+each body within their tolerance, each with a 90 % interval. --out writes those that the logs tell into the text of the MJCF; its
+comments and layout stay. The others keep their stated value, and the table says why. What is fitted here is no longer missing for
+gap find: leave out with --only what is to be asked there.
 
     fishmj calibrate model LOGS --model robot.xml --out robot.calibrated.xml
     fishmj calibrate model LOGS --model robot.xml --only gain,delay,bodies
@@ -14,13 +14,13 @@ import mujoco
 
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.base.store import write_text
+from fishmj.base.store import write_bytes
 from fishmj.gap import progress
 from fishmj.gap.calibrate.robot_fit import FittedNumber, RobotFit, described, fit_robot
 from fishmj.gap.commands import gap_options
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.commands.find_robot import read_logs
-from fishmj.gap.models.robot_patch import patched
+from fishmj.gap.models.robot_patch import next_mjcf
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.search.free_numbers import KINDS
 from fishmj.gap.wording import level, number, percent, title
@@ -58,7 +58,6 @@ def main(argv: list[str]) -> int:
         console.say(f"|z|^2 / m: {level(before)} as described, {level(after)} with what is written, {level(whole)} with all")
         if args.out:
             write(found, robot, args)
-            console.say(f"written: {args.out}")
     if args.json:
         numbers = [n._asdict() for n in found.numbers]
         console.emit_json({"numbers": numbers, "errors": found.errors, "misfit": found.misfit, "skipped": broken})
@@ -73,9 +72,9 @@ def write(found: RobotFit, robot, args) -> None:
         raise LogError(f"{args.data}: {why}; nothing is written. Record motions that separate them: fishmj gap next --help")
     rows = [f"  {title(n.name)} {number(n.value)} ({number(n.low)} to {number(n.high)}) {n.unit}" for n in identified]
     head = f"calibrated by fishmj calibrate model, MuJoCo {mujoco.__version__}; parent {robot.path.name}; 90 % intervals:"
-    origin = f"<!-- {head}\n" + "\n".join(rows).replace("--", "- -") + "\n-->\n"
-    text = patched(robot, found.model, found.delay)
-    write_text(args.out, text.replace("\n", "\n" + origin, 1) if text.startswith("<?xml") else origin + text)
+    written = next_mjcf(robot, found.model, found.delay, args.out, "\n".join([head, *rows]))
+    write_bytes(args.out, written.data)
+    console.say(f"written: {args.out}; {written.how}")
 
 
 def _row(n: FittedNumber) -> dict:

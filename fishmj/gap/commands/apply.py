@@ -5,7 +5,8 @@ hash, gates and rivals; its parent's text beside it; a .diff of the MJCF if MuJo
 overwritten. Only a NAMED effect that closes the gap on the judging records becomes a version. Any other candidate is kept as
 model.rejected-<hash>.toml with its scores, and the exit code is 1.
 
-Of a robot in MJCF <robot>.v<N>.xml is written by MuJoCo, with the effects that are NAMED each; gap check judges it.
+Of a robot in MJCF <robot>.v<N>.xml is the description's own text, in which attributes changed for the effects that are NAMED
+each; gap check judges it. MuJoCo writes it anew where the text cannot hold them: a URDF, parts of an included file.
 
     fishmj gap apply report --out my_fish.v2.toml
 """

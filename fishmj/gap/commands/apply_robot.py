@@ -14,13 +14,13 @@ import numpy as np
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import write_text
+from fishmj.base.store import write_bytes, write_text
 from fishmj.gap.commands.find_robot import digest
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.callback_module import BeyondFields, module_text, stem_of
 from fishmj.gap.models.rigid_robot import AT
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
-from fishmj.gap.models.robot_patch import difference, patched
+from fishmj.gap.models.robot_patch import next_mjcf
 from fishmj.gap.wording import level, pair, title
 
 
@@ -45,7 +45,6 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
         return told | {"reason": f"{answer}: {why}; {path.name} stays as it is"}
     robot = read_robot(path)
     m, delay, beyond = changed(robot, named)
-    text = patched(robot, m, delay)
     version = out or next_version(path, report if report.is_dir() else report.parent)
     module = version.with_name(f"{stem_of(version.name)}.py")
     if version.suffix != ".xml":
@@ -54,8 +53,9 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
         if there.exists():
             raise ConfigError(f"{there}: exists, and nothing is written over; choose another name with --out")
     names = ", ".join(title(e["name"]) for e in named)
-    origin = f"<!-- {answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name} -->\n"
-    write_text(version, text.replace("\n", "\n" + origin, 1) if text.startswith("<?xml") else origin + text)
+    origin = f"{answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name}"
+    written = next_mjcf(robot, m, delay, version, origin)
+    write_bytes(version, written.data)
     if beyond.names:
         write_text(module, module_text(version.name, robot, m, beyond, verdict["context"].get("rest") or {}))
     if left := [e["name"] for e in verdict["effects"] if e not in named]:
@@ -67,8 +67,7 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
         reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} floors"
     if beyond.names:
         reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, which no field of MuJoCo holds"
-    reason += f"; MuJoCo wrote {version.name} anew, so that only the lines below differ in meaning"
-    return told | {"path": version, "accepted": True, "reason": reason, "mjcf": difference(robot, text)}
+    return told | {"path": version, "accepted": True, "reason": f"{reason}; {written.how}", "mjcf": written.diff}
 
 
 def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, BeyondFields]:
