@@ -68,6 +68,7 @@ REFUSED = {
     "tendons": ("<actuator>", '<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon><actuator>'),
     "equality": ("<actuator>", '<equality><joint joint1="elbow" joint2="shoulder"/></equality><actuator>'),
     "several actuators": ("</actuator>", '<motor name="two" joint="elbow"/></actuator>'),
+    "two inputs": ("</actuator>", '<pid name="two" joint="elbow" kp="1" input="pos vel"/></actuator>'),
     "no actuator": (ARM[ARM.index("<actuator>") : ARM.index("</mujoco>")], ""),
 }
 

@@ -112,8 +112,8 @@ EFFECTS = {
     ),
     "base_tilt": (
         {"pitch": 0.1, "roll": 0.0},
-        ("", ['<option timestep="0.002" integrator="implicitfast" gravity="0.981 0 -9.81"/>']),
-        ("", ['<option timestep="0.002" gravity="0.981 0 -9.81"/>  <!-- of the recording -->']),
+        ("", ['<option timestep="0.002" integrator="implicitfast" gravity="0.979366 0 -9.76099"/>']),
+        ("", ['<option timestep="0.002" gravity="0.979366 0 -9.76099"/>  <!-- of the recording -->']),
     ),
     "steady_wind": (
         {"x": 25.0, "y": 0.0, "z": 5.0},
@@ -360,7 +360,8 @@ def test_version_in_another_folder_finds_its_files(kind, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("option", "line"), [("included", '  <option gravity="0.3 0 -3"/>'), ("absent", '  <option gravity="0.981 0 -9.81"/>')]
+    ("option", "line"),
+    [("included", '  <option gravity="0.2995 0 -2.98501"/>'), ("absent", '  <option gravity="0.979366 0 -9.76099"/>')],
 )
 def test_option_that_the_file_has_not_is_added(option, line, tmp_path):
     """A later section wins in MuJoCo, so that of the included file stays."""

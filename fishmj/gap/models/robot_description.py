@@ -276,8 +276,9 @@ def _searchable(m, path: Path) -> None:
     """Raises ConfigError for what the search cannot take."""
     hinged = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
     joint_driven = [int(kind) for kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
-    on_site = [a for a in range(m.nu) if m.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_SITE)]
-    driven = [int(m.actuator_trnid[a, 0]) for a in range(m.nu) if m.actuator_trntype[a] in joint_driven]
+    count = len(m.actuator_trntype)  # nu counts inputs: a <pid> may have two
+    on_site = [a for a in range(count) if m.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_SITE)]
+    driven = [int(m.actuator_trnid[a, 0]) for a in range(count) if m.actuator_trntype[a] in joint_driven]
     free = [j for j in range(m.njnt) if m.jnt_type[j] == FREE]
     others = [j for j in range(m.njnt) if m.jnt_type[j] not in (*hinged, FREE)]
     moving = m.njnt - len(free)
@@ -289,8 +290,9 @@ def _searchable(m, path: Path) -> None:
         "tendons": m.ntendon > 0 and "actuators that drive joints would work",
         "equality constraints": m.neq > 0 and "an open chain would work: cut the loop, or weld what does not move",
         "no actuator": m.nu == 0 and "a motor or position actuator for each commanded joint would work",
+        "an actuator with two inputs": count != m.nu and "one whose only input is the logged command would work",
         "an actuator on the free joint": bool(set(driven) & set(free)) and "an actuator on a site of the base would work",
-        "an actuator that drives no joint": len(driven) + len(on_site) != m.nu and "actuators on joints or sites would work",
+        "an actuator that drives no joint": len(driven) + len(on_site) != count and "actuators on joints or sites would work",
         "an actuator between two sites": any(m.actuator_trnid[a, 1] >= 0 for a in on_site) and "one without refsite would work",
         "several actuators on one joint": len(set(driven)) != len(driven) and "one a joint would work",
         "an actuator with a state of its own": m.na > 0 and "motor, position, velocity or affine general actuators would work",
