@@ -44,7 +44,8 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
         )
         return told | {"reason": f"{answer}: {why}; {path.name} stays as it is"}
     robot = read_robot(path)
-    m, delay, beyond = changed(robot, named)
+    held = [held_by_mjcf(e) for e in named]
+    m, delay, beyond = changed(robot, held)
     version = out or next_version(path, report if report.is_dir() else report.parent)
     module = version.with_name(f"{stem_of(version.name)}.py")
     if version.suffix != ".xml":
@@ -52,7 +53,7 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     for there in (version, *([module] if beyond.names else [])):
         if there.exists():
             raise ConfigError(f"{there}: exists, and nothing is written over; choose another name with --out")
-    names = ", ".join(title(e["name"]) for e in named)
+    names = ", ".join(title(e["name"]) for e in held)
     origin = f"{answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name}"
     written = next_mjcf(robot, m, delay, version, origin)
     write_bytes(version, written.data)
@@ -65,9 +66,35 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
         reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
     if not left and (floors := verdict["over_floor"].get("searched")):
         reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} floors"
+    for one, other in zip(named, held, strict=True):
+        if one is not other:
+            reason += (
+                f"; {title(other['name'])} stands for {title(one['name'])}, the same on this robot, which MJCF does not hold"
+            )
     if beyond.names:
         reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, which no field of MuJoCo holds"
     return told | {"path": version, "accepted": True, "reason": f"{reason}; {written.how}", "mjcf": written.diff}
+
+
+def held_by_mjcf(effect: dict) -> dict:
+    """The effect, or in place of an error of a sensor or a clock the first that is the same on the robot and is none."""
+    if not of_logs(effect["name"].partition(AT)[0]):
+        return effect
+    for name, values in effect.get("same", {}).items():
+        if not of_logs(kind := name.partition(AT)[0]):
+            parameters = effects.robot_catalogue()[kind].robot.parameters
+            return {"name": name, "parameters": {p.name: values.get(p.name, {"value": p.null}) for p in parameters}}
+    return effect
+
+
+def of_logs(kind: str) -> bool:
+    """Returns True for an error of a sensor or a clock, which belongs into the reading of the logs."""
+    known = effects.robot_catalogue().get(kind)
+    form = known.robot if known else None
+    if known is None or form is None:
+        return False
+    acts = form.fields or form.law or form.command or "command" in known.delays
+    return form.reading is not None or not acts
 
 
 def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, BeyondFields]:
@@ -81,16 +108,9 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, Bey
         if set(effect["parameters"]) != {p.name for p in known.robot.parameters} or site not in robot.sites(known.robot.site):
             raise ConfigError(f"{effect['name']!r}: not an effect of {robot.path.name} with its parameters; search again")
         p = SimpleNamespace(**{key: float(value["value"]) for key, value in effect["parameters"].items()})
-        if known.robot.reading is not None:
-            told = "an error of a sensor belongs into the reading of the logs, not into MJCF"
-            raise ConfigError(f"{title(effect['name'])}: {told}")
-        if (
-            known.robot.fields is None
-            and known.robot.law is None
-            and known.robot.command is None
-            and "command" not in known.delays
-        ):
-            raise ConfigError(f"{title(effect['name'])}: an error of a clock belongs into the reading of the logs, not into MJCF")
+        if of_logs(name):
+            kind = "a sensor" if known.robot.reading is not None else "a clock"
+            raise ConfigError(f"{title(effect['name'])}: an error of {kind} belongs into the reading of the logs, not into MJCF")
         if known.robot.law is not None:
             beyond.laws.setdefault(site, {})[name] = tuple(getattr(p, x.name) for x in known.robot.parameters)
         if known.robot.command is not None:

@@ -35,7 +35,15 @@ def _known_rival(name: str) -> str:
     return name if any(name == term.formula for term in sensor_terms()) else _known(name)
 
 
+def _of_robot(name: str) -> str:
+    """Checks the name of an effect at a site of a robot in MJCF."""
+    if name.partition("@")[0] not in effects.robot_catalogue():
+        raise ValueError(f"unknown effect {name[:40]!r} of a robot in MJCF")
+    return name
+
+
 Effect = Annotated[str, AfterValidator(_known)]
+RobotKind = Annotated[str, AfterValidator(_of_robot)]
 Rival = Annotated[str, AfterValidator(_known_rival)]
 
 
@@ -91,9 +99,14 @@ class _Applied(_Verdict):
     gap_after: Finite
 
 
+class _PointValue(_ReportTable):
+    value: Finite
+
+
 class _RobotEffect(_ReportTable):
     name: Text
     parameters: dict[str, _Value]
+    same: dict[RobotKind, dict[Text, _PointValue]] = {}
 
 
 class _RobotRival(_ReportTable):
