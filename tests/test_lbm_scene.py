@@ -200,11 +200,12 @@ def test_a_moved_body_follows_its_motion_and_a_free_one_falls():
 
 
 @pytest.mark.gpu
+@pytest.mark.parametrize("near", [(), 0.05])
 @pytest.mark.parametrize("flat", [True, False])
-def test_a_scene_on_a_gpu_is_that_of_the_cpu(flat):
+def test_a_scene_on_a_gpu_is_that_of_the_cpu(flat, near):
     found = []
     for device in ("cpu", "cuda"):
-        scene = tank((0.64, 0.48) if flat else (0.48, 0.4, 0.4), dt=0.5, device=device)
+        scene = tank((0.64, 0.48) if flat else (0.48, 0.4, 0.4), dt=0.5, near=near, sponge=4, device=device)
         if flat:
             scene.add(cylinder(D), at=(0.25, 0.24), joints=("hinge z",), motion=lambda t: 0.001 * t)
         else:
@@ -391,14 +392,14 @@ def test_example_cylinder_names_a_wrong_option_without_a_traceback(tmp_path):
 
 
 def test_example_cylinder_prints_its_drag_and_draws_its_wake(tmp_path):
-    box = ("--box", "12", "8", "4")
+    box = ("--box", "12", "8", "4", "--near", "1")
     said = example(
         tmp_path, "cylinder.py", "--times", "0.05", "--diameter", "0.02", "--re", "60", "--out", "found", "--study", *box
     )
     found = re.findall(
         r"Re 60 on D = 20 mm, Mach 0\.09, .*\n4 D to the inlet, 8 D .*blockage 12 %\nC_D = (\d+\.\d{2}), .*no St", said
     )
-    assert len(found) == 3 and said.startswith("84 x 56 x 1 cells") and re.search(r"^dx = 0\.002 ", said, re.M)
+    assert len(found) == 3 and said.startswith("42 x 28 x 1 cells of 0.00571") and re.search(r"^dx = 0\.002 ", said, re.M)
     for cells in (7, 10, 14):
         assert (tmp_path / "found" / f"cylinder_{cells}.png").stat().st_size > 5000
         assert (

@@ -17,6 +17,7 @@ All walls of bodies are without slip. docs/solver/your_own_body.md has the measu
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.guard import check_speed, check_tau, numbers, whole_numbers
-from fishmj.lbm_oracle.fluid.lattice import Lattice
+from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
 from fishmj.lbm_oracle.immersed import scene_bodies
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.scene_bodies import JOINTS, MotionFunction, Numbers, PlacedBody, SceneBodies, position
@@ -40,6 +41,8 @@ from fishmj.lbm_oracle.immersed.silhouettes import outlines
 from fishmj.lbm_oracle.immersed.strip import coupled_in
 from fishmj.lbm_oracle.output.force_record import SWING, ForceRecord, frequency, settled_mean, window
 from fishmj.lbm_oracle.output.slices import Slice
+from fishmj.lbm_oracle.refined.refined_fluid import nested_boxes
+from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.water.flow import Flow
 
 __all__ = ["Scene", "cylinder", "mesh", "plate", "section", "sphere"]
@@ -56,11 +59,13 @@ class Scene:
     """A box of water with bodies of your own.
 
     Args:
-        box: lengths m, (x, y, z), or (x, y) for a flow in the plane; rounded to whole cells. dx: cell, m.
+        box: lengths m, (x, y, z), or (x, y) for a flow in the plane; rounded to whole cells. dx: cell at the bodies, m.
+        near: distances from the bodies, m, within which cells are dx, 2 dx, 4 dx, ..; beyond the last they double once more. One
+            upright box for each, round all bodies, follows them. By default all cells are dx.
         nu: kinematic viscosity, m2/s. stream: speed along x, m/s; 0: water at rest. rho: density, kg/m3.
-        dt: time step, s; by default that in which the stream moves 0.05 cells (Mach 0.09), or 0.1 dx^2 / nu if that is less.
+        dt: time step at the bodies, s; by default the stream moves 0.05 cells in it (Mach 0.09), or it is 0.1 dx^2 / nu if less.
         sides: kind of the side faces: slip, wall, open (above and below: slip) or periodic; of all faces without a stream.
-        sponge: cells behind each open face in which waves are damped; half a body's size, at least 8, by default.
+        sponge: largest cells behind each open face in which waves are damped; half a body's size, at least 8, by default.
         subgrid: eddy viscosity, "wale", for flows that the cells do not resolve; "none".
         gravity: (3,) m/s2, on free bodies and on the water that they displace. device: cpu, cuda or auto.
 
@@ -75,6 +80,7 @@ class Scene:
         nu: float = WATER_VISCOSITY,
         stream: float = 0.0,
         *,
+        near: Numbers | float = (),
         rho: float = WATER_DENSITY,
         dt: float | None = None,
         sides: str = "slip",
@@ -87,16 +93,20 @@ class Scene:
         stream = float(numbers("scene: stream", stream, low=0.0))
         if np.shape(box) not in ((2,), (3,)):
             raise ConfigError(f"scene: box = {shown_value(box)}; expected three lengths in m, or two for a flow in the plane")
-        lengths = numbers("scene: box", box, (len(box),), low=dx)
+        self._near = _checked_near(near, dx)
+        coarsest = dx * RATIO ** len(self._near)
+        lengths = numbers("scene: box", box, (len(box),), low=coarsest)
         self.flat = len(lengths) == 2
-        x, y, z = (int(round(length / dx)) for length in (*lengths, *([dx] if self.flat else [])))
+        x, y, z = (int(round(length / coarsest)) for length in (*lengths, *([coarsest] if self.flat else [])))
         self.shape = x, y, z
         if dt is None and not stream:
             raise ConfigError("scene: water at rest and no dt; expected dt = 0.05 dx / (greatest speed of a body), s")
         step = min(COURANT * dx / stream, THICKEST * dx**2 / nu) if dt is None else dt
         self.lattice = Lattice(dx=dx, dt=step, rho=rho, nu=nu, corner=(dx / 2,) * 3)  # faces half a cell outside the nodes
+        middle = (coarsest / 2,) * 2 + (dx / 2 if self.flat else coarsest / 2,)
+        self._coarse = replace(self.lattice, dx=coarsest, dt=step * RATIO ** len(self._near), corner=middle)
         check_speed(self.lattice, stream, "scene: stream")
-        check_tau(self.lattice, subgrid, "scene")
+        check_tau(self._coarse, subgrid, "scene: largest cells" if self._near else "scene")
         checked_name("kind of side face", sides, SIDES)
         if sponge is not None:
             whole_numbers("scene: sponge", sponge, low=0)
@@ -220,19 +230,20 @@ class Scene:
 
     def _check_place(self, name: str, points: np.ndarray, sponge: int) -> None:
         """Raises ConfigError for markers (N, 3) m outside the box, or too near to a face that is not periodic."""
-        dx = self.lattice.dx
+        dx = self._coarse.dx
         for a, (axis, length) in enumerate(zip(self._faces(0).axes, self.extent, strict=False)):
             low, high = points[:, a].min(), points[:, a].max()
-            room = sponge if "open" in axis else CLEAR
+            room = CLEAR if "open" not in axis else sponge + CLEAR * bool(self._near)
             if axis.low != "periodic" and min(low, length - high) < room * dx * (1 - 1e-9):
-                side = "its damping layer" if "open" in axis else "which the kernel needs"
+                side = "the damping layer" if "open" in axis else "the kernel"
+                side += " and the boxes of smaller cells" * bool(self._near)
                 raise ConfigError(
                     f"scene: {name} from {'xyz'[a]} = {low:.4g} to {high:.4g} m in a box of 0 to {length:.4g} m; expected {room}"
-                    f" cells ({room * dx:.3g} m) to each face, {side}. Move the body or enlarge the box"
+                    f" cells of {dx:.3g} m ({room * dx:.3g} m) to each face for {side}. Move the body or enlarge the box"
                 )
 
     def _sponge_for(self, size: float) -> int:
-        return max(8, round(size / self.lattice.dx) // 2) if self._sponge is None else self._sponge
+        return max(8, round(size / self._coarse.dx) // 2) if self._sponge is None else self._sponge
 
     def _faces(self, sponge: int) -> Boundaries:
         side, plane = Axis(self.sides, self.sides), Axis("periodic", "periodic")
@@ -242,7 +253,7 @@ class Scene:
     @property
     def extent(self) -> tuple[float, ...]:
         """Lengths of the box in whole cells, m: two of a flow in the plane, else three."""
-        return tuple(n * self.lattice.dx for n in self.shape[: 2 if self.flat else 3])
+        return tuple(n * self._coarse.dx for n in self.shape[: 2 if self.flat else 3])
 
     @property
     def coupled(self) -> FluidStructure:
@@ -268,7 +279,8 @@ class Scene:
         for part, motion in made.drives:
             self._fixed[part] = 1.0
             self._position[part] = position(motion, 0.0, part.stop - part.start)
-        return coupled_in(Fluid(self.lattice, self.shape, self.device, **options), made.body, made.markers)
+        water = nested_boxes(Fluid(self._coarse, self.shape, self.device, **options), *made.bounds(), self._near[::-1])
+        return coupled_in(water, made.body, made.markers, RefinedStructure if self._near else FluidStructure)
 
     def step(self) -> None:
         """Does one time step.
@@ -282,6 +294,10 @@ class Scene:
             ahead[part] = position(motion, (coupled.steps + 1) * self.lattice.dt, part.stop - part.start)
         coupled.step(self._fixed, (ahead - self._position) / self.lattice.dt)
         self._position = ahead
+        if isinstance(coupled, RefinedStructure) and self._bodies().moves and coupled.steps % RATIO ** len(self._near) == 0:
+            with coupled.scope():
+                for box in reversed(coupled.fluid.boxes):  # the finest last: it stays inside the others
+                    box.centre_on(np.mean(self._bodies().bounds(), 0))
 
     def run(self, seconds: float, every: int = 1) -> ForceRecord:
         """Steps for `seconds` and records the force each `every` steps; returns the record since the first run.
@@ -367,13 +383,13 @@ class Scene:
         Raises:
             ConfigError: z lies outside the water.
         """
-        from fishmj.lbm_oracle.output.record_fields import plane_of
+        from fishmj.lbm_oracle.output.record_fields import plane_of_levels
 
         coupled, lattice = self.coupled, self.lattice
+        height = self._coarse.corner[2] + (self.shape[2] - 1) * self._coarse.dx / 2 if z is None else z
         with coupled.scope():
-            plane = plane_of(coupled.fluid, z)
-        x, y = (lattice.corner[a] + lattice.dx * np.arange(self.shape[a]) for a in range(2))
-        height = self.shape[2] * lattice.dx / 2 if z is None else z
+            plane = plane_of_levels(coupled.fluid, height)
+        x, y = (lattice.corner[a] + lattice.dx * np.arange(plane.shape[a]) for a in range(2))
         lines = [line for link in range(coupled.body.links) for one in self._bodies().placed(link) for line in outlines(one)]
         return Slice(self.time, height, x, y, plane[..., 0], plane[..., 1], plane[..., 2], lines)
 
@@ -398,13 +414,15 @@ class Scene:
     def _ahead(self) -> float:
         """Distance of the middle of all bodies to the inlet, D."""
         made = self._bodies()
-        along = made.marker_places()[:, 0]
-        return float(along.min() + along.max()) / 2 / made.size
+        return float(np.mean(made.bounds(), 0)[0]) / made.size
 
     def __str__(self) -> str:
         """Numbers that judge the grid and the box, in two lines."""
         lattice = self.lattice
-        grid = f"{' x '.join(map(str, self.shape))} cells of {lattice.dx:g} m, dt {lattice.dt:.4g} s"
+        grid = f"{' x '.join(map(str, self.shape))} cells of {self._coarse.dx:g} m, "
+        for level in reversed(range(len(self._near))):
+            grid += f"{lattice.dx * RATIO**level:g} m within {self._near[level]:g} m of the bodies, "
+        grid += f"dt {lattice.dt:.4g} s"
         wave = f"Mach {lattice.mach(self.stream):.2f}, tau {lattice.tau:.4f}"
         if not (self._placed or self._holds_model):
             return f"{grid}, {wave}, no body"
@@ -416,6 +434,20 @@ class Scene:
             f" {1e3 * made.size:.4g} mm, {wave}\n{ahead:.3g} D to the inlet, {behind:.3g} D behind, {wide} D wide, frontal area"
             f" {self.frontal_area:.4g} {'m' if self.flat else 'm2'}, blockage {100 * self.blockage:.2g} %"
         )
+
+
+def _checked_near(near: Numbers | float, dx: float) -> list[float]:
+    """Distances of `near`, m. Raises ConfigError for one that leaves a box too narrow."""
+    found, least = np.atleast_1d(near), CLEAR * dx
+    found = numbers("scene: near", found, (len(found),)).tolist()
+    for level, distance in enumerate(found):
+        if distance < least * (1 - 1e-9):
+            raise ConfigError(
+                f"scene: near = {shown_value(near)}; expected {least:.3g} m or more at place {level}: {CLEAR} cells from the body"
+                " or from the box inside it"
+            )
+        least = distance + CLEAR * dx * RATIO ** (level + 1)
+    return found
 
 
 def _shifted(joints: tuple[str, ...], position: np.ndarray) -> np.ndarray:

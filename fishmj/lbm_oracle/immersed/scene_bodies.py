@@ -56,10 +56,20 @@ class SceneBodies:
     size: float = 0.0
     width: float = 0.0
 
+    @property
+    def moves(self) -> bool:
+        """Returns False if all bodies are held."""
+        return sum(part.stop - part.start for part, motion in self.drives if motion is _at_rest) < self.body.dofs
+
     def placed(self, link: int) -> list[Surface]:
         """Surfaces of a link where they are now, world frame, m."""
         place, turn = self.body.data.xpos[link + 1], self.body.data.xmat[link + 1].reshape(3, 3)
         return [(vertices @ turn.T + place, faces) for vertices, faces in self.surfaces[link]]
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Low and high corner (3,) m of the upright box round all markers where they are now."""
+        places = self.marker_places()
+        return places.min(0), places.max(0)
 
     def marker_places(self) -> np.ndarray:
         """Markers (N, 3) m where they are now, world frame."""

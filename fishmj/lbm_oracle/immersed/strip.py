@@ -40,9 +40,9 @@ class Strip(Boundary):
             super()._launch(fold, (*self.box_shape[:2], self.rhs), [], [self.scratch])
 
 
-def coupled_in(water: Fluid, body: ImmersedBody, markers: Markers) -> FluidStructure:
-    """Couples a no-slip body with its water, which may be a strip. Raises ConfigError as `FluidStructure`."""
-    coupled = FluidStructure(water, body, markers, slip=0.0)
+def coupled_in(water: Fluid, body: ImmersedBody, markers: Markers, coupling: type[FluidStructure]) -> FluidStructure:
+    """Couples a no-slip body with its water, which may be a strip, by `coupling`, which may raise ConfigError."""
+    coupled = coupling(water, body, markers, slip=0.0)
     if water.shape[2] == 1:
         coupled.boundary = Strip(markers, body, water, slip=0.0)
     return coupled

@@ -14,14 +14,18 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.ndimage import zoom
 
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import write_json
+from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.in_kernels import wrap
+from fishmj.lbm_oracle.fluid.lattice import RATIO
 from fishmj.lbm_oracle.fluid.step import OPTIONS, Params
 from fishmj.lbm_oracle.output import vtk
 from fishmj.lbm_oracle.output.slice_plots import SlicePicture, outline
 from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, STRONG, Slice, write_slice
+from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf.skin import skin
 
@@ -75,6 +79,30 @@ def plane_of(fluid, z: float | None = None) -> np.ndarray:
     inputs = [fluid.params, fluid.velocity_lu(), wp.vec3i(*map(int, fluid.origin_lu)), k, max(level - k, 0.0), out]
     wp.launch(cut, dim=(nx, ny), inputs=inputs, device=fluid.device)
     return out.numpy() * np.array([lattice.velocity, lattice.velocity, 1 / lattice.dt], np.float32)
+
+
+def plane_of_levels(fluid: Fluid, z: float) -> np.ndarray:
+    """Plane (nx, ny, 3) at height z [m] as `plane_of`, in cells of the finest level; coarser levels are interpolated linearly."""
+    boxes = [box for box in fluid.boxes if _reaches(box, z)] if isinstance(fluid, RefinedFluid) else []
+    planes = [plane_of(level, z) for level in (*boxes, fluid.levels[-1])]
+    for k, box in enumerate(boxes):  # cells under a box are means of its cells: those beside it are interpolated from them
+        (x, y, _), (i, j, _), (m, n, _) = box.box_slices(), box.low_lu - box.outer.origin_lu, box.size_lu
+        planes[k + 1][i : i + m, j : j + n] = planes[k][x, y].reshape(m, RATIO, n, RATIO, 3).mean((1, 3))
+    enlarged = lambda plane, r: zoom(plane, (r, r, 1), order=1, mode="nearest", grid_mode=True)
+    made, at = enlarged(planes[-1], round(fluid.levels[-1].lattice.dx / fluid.lattice.dx)), np.zeros(3, int)
+    for box, plane in zip(boxes[::-1], planes[-2::-1], strict=True):
+        (x, y, _), r = box.box_slices(), round(box.lattice.dx / fluid.lattice.dx)
+        at = at + RATIO * r * (box.low_lu - box.outer.origin_lu)
+        m, n = r * (x.stop - x.start), r * (y.stop - y.start)
+        made[at[0] : at[0] + m, at[1] : at[1] + n] = enlarged(plane, r)[r * x.start : r * x.stop, r * y.start : r * y.stop]
+        at = at - r * np.array([x.start, y.start, 0])
+    return made
+
+
+def _reaches(box: RefinedFluid, z: float) -> bool:
+    """Returns True if a box of finer cells holds the height z, m."""
+    low, high = box.lattice.to_si(box.origin_lu - 0.5 + np.array([(one.start, one.stop) for one in box.box_slices()]).T)
+    return bool(low[2] <= z <= high[2])
 
 
 def slice_of(run, z: float | None = None) -> Slice:

@@ -127,9 +127,10 @@ def cell_in(word: int, n: wp.vec3i, by: wp.vec4i):
 
 @wp.func
 def in_fine(s: Nest, corner: vec6i, p: wp.vec3i):
-    """Index in memory of a fine cell, counted from the low corner of the fine array."""
+    """Index in memory of a fine cell, counted from the low corner of the fine array; a strip has one cell along z."""
     n = s.fine
     x, y, z = within(corner[0] + p[0], n[0]), within(corner[1] + p[1], n[1]), within(corner[2] + p[2], n[2])
+    z = wp.where(n[2] > 1, z, 0)
     return (x * n[1] + y) * n[2] + z
 
 
@@ -339,29 +340,36 @@ def restrict(
     f: wp.array(dtype=float),
     u: wp.array(dtype=Any),
 ):
-    """Computes coarse cells of R from their children, two neighbours along z at once: the first is at an even place."""
+    """Computes coarse cells of R from their children, two neighbours along z at once: the first is at an even place.
+
+    `pairs`: four, or two along y in a strip.
+    """
     x = cell_in(cells[wp.tid()], s.shell, s.by_shell) - s.ghost
     o = six(corner)
     fine_cells = s.fine[0] * s.fine[1] * s.fine[2]
     drho, m, p, v = float(0.0), wp.vec3(), vec6(), wp.vec3()  # noqa: UP018
     dx, dy, dz = wp.vec3(), wp.vec3(), wp.vec3()
+    share, half = 0.5 / float(pairs), pairs / 2
     for pair in range(pairs):  # four, but the compiler shall not write them out
-        a, b = pair / 2, pair % 2
+        a, b = pair / half, pair % half
         here = in_fine(s, o, 2 * x + s.ghost + wp.vec3i(a, b, 0))
         both, velocities = load_cell_pair(f_fine, fine_cells, here), peek3_pair(u_fine, here)
         for c in range(2):
             q, w = both[c], velocities[c]
             rho = density(q)
             flow = momentum(q)
-            drho += 0.125 * rho
-            m += 0.125 * flow
-            p += 0.125 * non_equilibrium_stress(
+            drho += share * rho
+            m += share * flow
+            p += share * non_equilibrium_stress(
                 q, rho, (1.0 / (1.0 + rho)) * flow
             )  # of each child: not the stress of their differences
-            v += 0.125 * w
-            dx += 0.25 * float(2 * a - 1) * w
-            dy += 0.25 * float(2 * b - 1) * w
-            dz += 0.25 * float(2 * c - 1) * w
+            v += share * w
+            dx += 2.0 * share * float(2 * a - 1) * w
+            if half == 2:
+                dy += 0.25 * float(2 * b - 1) * w
+                dz += 0.25 * float(2 * c - 1) * w
+            else:
+                dy += 0.5 * float(2 * c - 1) * w
     w = (1.0 / (1.0 + drho)) * m
     p += ((1.0 + drho) * _CS2) * strain(dx, dy, dz)
     here = in_coarse(s, o, x)

@@ -7,10 +7,13 @@ A `RefinedFluid` is the fine level, with the interface of a `Fluid`: a body is c
 coarse level, which may be a window, and may itself be refined. Between two coarse steps (`whole`) the box may move by whole
 coarse cells. The coarse cells already hold the water that it leaves, and newly covered fine cells are computed from them.
 
+A strip of water, one cell deep along z and periodic, has boxes one cell deep: their children share that cell in pairs.
+
 Only the rim of a box is restricted, one coarse cell wide: the coarse cells outside, and `explode`, read no deeper. The coarse
 cells behind the rim hold the flow without the body, until the box moves or a caller asks for them (`restrict`, `complete`).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,14 +38,15 @@ AXES = {"f": (1, 2, 3), "u": (0, 1, 2)}  # x, y, z in the fields of a snapshot
 SECTOR = 8  # numbers that an accelerator's memory reads and writes at once
 
 
-def fine_lattice(coarse: Lattice, numbers: int = 0) -> Lattice:
+def fine_lattice(coarse: Lattice, numbers: int = 0, strip: bool = False) -> Lattice:
     """Lattice of half the cell and half the step.
 
-    Fine nodes 2 N and 2 N + 1 share the coarse cell N, along z with `numbers` more.
+    Fine nodes 2 N and 2 N + 1 share the coarse cell N, along z with `numbers` more. In a strip both levels have the same z.
     """
     dx = coarse.dx / RATIO
     x, y, z = (c - dx / 2 for c in coarse.corner)
-    return replace(coarse, dx=dx, dt=coarse.dt / RATIO, corner=(x, y, z - numbers * dx))
+    z = coarse.corner[2] if strip else z - numbers * dx
+    return replace(coarse, dx=dx, dt=coarse.dt / RATIO, corner=(x, y, z))
 
 
 class RefinedFluid(Fluid):
@@ -90,13 +94,15 @@ class RefinedFluid(Fluid):
         self._linear = linear
         self._ghost = np.where(fills, 0, GHOST)
         self.embedded = np.flatnonzero(~fills).tolist()
+        self._strip = bool(fills[2]) and outer.extent[2] == 1
+        self._ratio = np.array([RATIO, RATIO, 1 if self._strip else RATIO])  # fine nodes to a coarse one
         if numbers is None:
             numbers = 0 if fills[2] else -RATIO * int(low[2]) % SECTOR
         self._numbers = np.array([0, 0, numbers])
         faces = Boundaries(**{name: getattr(PERIODIC, name) for name in "xyz"})
         more: dict[str, Any] = {name: value for name, value in options.items() if name != "dtype"}
         super().__init__(
-            fine_lattice(outer.lattice, numbers),
+            fine_lattice(outer.lattice, numbers, self._strip),
             (*self.extent[:2], self.extent[2] if fills[2] else -(-self.extent[2] // SECTOR) * SECTOR),
             outer.device,
             boundaries=faces,
@@ -111,7 +117,7 @@ class RefinedFluid(Fluid):
         lists = [wp.array(found, dtype=int, device=self.device) for found in lists_of(_cells(size), _cells(self._ghost))]
         self._entering, self._children, self._leaving, self._later, self._all, self._rim = lists
         self._corner = wp.zeros(6, dtype=int, device=self.device)
-        self._place(RATIO * np.array(low, int) + self._numbers - self._ghost)
+        self._place(self._ratio * np.array(low, int) + self._numbers - self._ghost)
         self.set_steps(RATIO * outer.steps)
         self.prolong()
 
@@ -124,7 +130,7 @@ class RefinedFluid(Fluid):
             wraps = FACES[axis.low].wraps
             at, name = low[a] - first[a], "xyz"[a]
             if fills[a]:
-                if not wraps or at != 0 or isinstance(self.outer, RefinedFluid):
+                if not wraps or at != 0 or (isinstance(self.outer, RefinedFluid) and a in self.outer.embedded):
                     raise ConfigError(f"refined: the box fills axis {name}, which must be periodic, from its first cell on")
             elif self.size_lu[a] < 2 or at < room or at + self.size_lu[a] > shape[a] - room:
                 raise ConfigError(
@@ -136,10 +142,10 @@ class RefinedFluid(Fluid):
     @property
     def extent(self) -> Cells:
         """Cells of the box and its ghosts, (3,)."""
-        return _cells(RATIO * self.size_lu + 2 * self._ghost)
+        return _cells(self._ratio * self.size_lu + 2 * self._ghost)
 
     def _stepped(self) -> tuple[Cells, Cells]:
-        return _cells(self._ghost), _cells(RATIO * self.size_lu + self._ghost)
+        return _cells(self._ghost), _cells(self._ratio * self.size_lu + self._ghost)
 
     @property
     def first_lu(self) -> np.ndarray:
@@ -149,7 +155,7 @@ class RefinedFluid(Fluid):
     @property
     def low_lu(self) -> np.ndarray:
         """World node (3,) of the coarse level at the box's low corner."""
-        return (self.first_lu - self._numbers) // RATIO
+        return (self.first_lu - self._numbers) // self._ratio
 
     @property
     def whole(self) -> bool:
@@ -227,7 +233,7 @@ class RefinedFluid(Fluid):
             box.restrict()
 
     def _restrict(self, cells: wp.array) -> None:
-        args = [self._nest, RATIO**2, cells, self._corner, self.f.flatten(), self.u.flatten()]
+        args = [self._nest, RATIO if self._strip else RATIO**2, cells, self._corner, self.f.flatten(), self.u.flatten()]
         self._exchange(exchange.restrict, len(cells), args, [self.outer.f.flatten(), self.outer.u.flatten()])
 
     def prolong(self, kept: tuple | None = None) -> None:
@@ -252,7 +258,7 @@ class RefinedFluid(Fluid):
         old = self.low_lu
         self._fills(old + by)
         self.restrict()  # what the box leaves behind
-        self._place(self.origin_lu + RATIO * np.array(by))
+        self._place(self.origin_lu + self._ratio * np.array(by))
         self.prolong((old, self.size_lu))
 
     def centre_on(self, point) -> bool:
@@ -332,7 +338,10 @@ class RefinedFluid(Fluid):
         return [*self.boxes, self.boxes[-1].outer]
 
     def totals(self) -> np.ndarray:
-        """Mass less that of still water, kg, and momentum, (3,) kg m/s, of all levels; each place counts once."""
+        """Mass less that of still water, kg, and momentum, (3,) kg m/s, of all levels; each place counts once.
+
+        A strip counts as deep as a cell of this level.
+        """
         sums, hole = np.zeros(len(VELOCITIES)), None
         for level in self.levels:
             counts = np.ones(level.shape, bool)
@@ -341,7 +350,8 @@ class RefinedFluid(Fluid):
                 counts[_memory(level, level.first_lu, RATIO * level.size_lu)] = True
             if hole is not None:
                 counts[hole] = False
-            sums += level.f.numpy()[:, counts].sum(1, dtype=float) * level.lattice.mass
+            deep = self.lattice.dx / level.lattice.dx if self._strip else 1.0
+            sums += level.f.numpy()[:, counts].sum(1, dtype=float) * level.lattice.mass * deep
             if isinstance(level, RefinedFluid):
                 hole = _memory(level.outer, level.low_lu, level.size_lu)
         return np.concatenate([[sums.sum()], VELOCITIES.T @ sums * self.lattice.velocity])
@@ -426,6 +436,29 @@ class RefinedFluid(Fluid):
 def _cells(n) -> Cells:
     x, y, z = (int(a) for a in n)
     return x, y, z
+
+
+def nested_boxes(outer: Fluid, low: np.ndarray, high: np.ndarray, margins: Sequence[float]) -> Fluid:
+    """Puts boxes of finer cells round low to high (3,) m into `outer`, the first by the first of `margins`, m, larger.
+
+    They end before a sponge and before the faces; a box that would reach a periodic end of `outer` fills that axis.
+
+    Returns:
+        The finest water: `outer` without margins.
+    """
+    for margin in margins:
+        faces, shape, room = outer.boundaries, np.array(outer.extent), np.full(3, _room(outer))
+        if not isinstance(outer, RefinedFluid):
+            room = np.maximum(room, [faces.sponge * ("open" in axis) for axis in faces.axes])
+        ends = (np.floor(outer.lattice.to_lu(x) + 0.5) - outer.origin_lu for x in (low - margin, high + margin))
+        a, b = (end.astype(int) for end in ends)
+        wraps = np.array([FACES[axis.low].wraps for axis in faces.axes])
+        if isinstance(outer, RefinedFluid):
+            wraps[outer.embedded] = False
+        fills = wraps & ((a < room) | (b >= shape - room))
+        a, b = np.where(fills, 0, np.maximum(a, room)), np.where(fills, shape, np.minimum(b + 1, shape - room))
+        outer = RefinedFluid(outer, _cells(outer.origin_lu + a), _cells(b - a))
+    return outer
 
 
 def lowest(outer: Fluid, point, size) -> Cells:

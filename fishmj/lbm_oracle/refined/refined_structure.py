@@ -37,6 +37,7 @@ class RefinedStructure(FluidStructure):
             if room < self.boundary.reach:
                 raise ConfigError(
                     f"refined: a marker is {room:.2f} cells from the end of the finer box on axis {'xyz'[a]}, its kernel or law"
-                    f" reaches {self.boundary.reach:g}; let the box follow the body (`centre_on`), or make it larger"
+                    f" reaches {self.boundary.reach:g}; make the box larger (`near` of a scene), or let it follow the body"
+                    " (`centre_on`), and keep both inside the coarser water"
                 )
         super().place_markers()
