@@ -81,9 +81,9 @@ def held_by_mjcf(effect: dict) -> dict:
     if not of_logs(effect["name"].partition(AT)[0]):
         return effect
     for name, values in effect.get("same", {}).items():
-        if not of_logs(kind := name.partition(AT)[0]):
-            parameters = effects.robot_catalogue()[kind].robot.parameters
-            return {"name": name, "parameters": {p.name: values.get(p.name, {"value": p.null}) for p in parameters}}
+        form = effects.robot_catalogue()[kind := name.partition(AT)[0]].robot
+        if form and not of_logs(kind):
+            return {"name": name, "parameters": {p.name: values.get(p.name, {"value": p.null}) for p in form.parameters}}
     return effect
 
 
