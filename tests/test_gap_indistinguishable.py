@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from robot_arm import ARM
-from test_gap_robot import records_of
+from test_gap_robot import named, records_of, verdict_of
 
+from fishmj.gap.commands.apply_robot import apply_robot
 from fishmj.gap.commands.find_robot import by_effect
 from fishmj.gap.decide.indistinguishable import drawn_motions, with_indistinguishable
 from fishmj.gap.models.rigid_robot import RigidRobot
@@ -106,3 +107,10 @@ def test_drawn_motions_go_beyond_those_of_the_logs_within_the_limits(pendulum):
     assert max(np.abs(r.angles).max() for r in drawn) > 2.5 > max(np.abs(r.angles).max() for r in records)
     assert max(np.abs(r.commands).max() for r in drawn) > 1.5 * max(np.abs(r.commands).max() for r in records)
     assert all(np.abs(r.commands).max() <= 9.0 for r in drawn)
+
+
+def test_apply_takes_what_is_the_same_for_an_error_of_a_sensor(arm, tmp_path):
+    late = named("joint_sensor_delay", delay=0.02) | {"same": {"clock_drift": {}, "command_latency": {"delay": {"value": 0.02}}}}
+    told = apply_robot(tmp_path, verdict_of(arm[0].robot, "NAMED", late), None, False)
+    assert "command latency stands for joint sensor delay, the same on this robot, which MJCF does not hold" in told["reason"]
+    assert read_robot(told["path"]).delays.tolist() == [0.02, 0.02]

@@ -404,13 +404,6 @@ def test_apply_refuses_an_encoder_as_mjcf(arm, tmp_path):
         apply_robot(tmp_path, verdict_of(arm, "NAMED", named("joint_zero_offset@shoulder", offset=0.04)), None, False)
 
 
-def test_apply_takes_what_is_the_same_on_a_robot_for_an_error_of_a_sensor(arm, tmp_path):
-    late = named("joint_sensor_delay", delay=0.02) | {"same": {"clock_drift": {}, "command_latency": {"delay": {"value": 0.02}}}}
-    told = apply_robot(tmp_path, verdict_of(arm, "NAMED", late), None, False)
-    assert "command latency stands for joint sensor delay, the same on this robot, which MJCF does not hold" in told["reason"]
-    assert read_robot(told["path"]).delays.tolist() == [0.02, 0.02]
-
-
 def test_apply_refuses_a_changed_description(arm, tmp_path):
     verdict = verdict_of(arm, "NAMED", named("coulomb_friction@elbow", torque=0.06))
     verdict["context"]["model_sha256"] = "0" * 64

@@ -41,9 +41,10 @@ WALLS = "d878cfcd8e5cf6f0a8932c30321d06243572905713901643aa403a3dc090b236"
 LAYERS = "40b752a4b504c515a2b77bae0882d6b4f2c55536e0accb47bb0f314f7c3a6c87"  # an option, layers on sheets; the rest to the bit
 # kernels of other widths, and another law of the wall (`SAME_LAW`); the rest to the bit
 SPREAD = "3cf54951701cf4e9b94d0421e003b02d83bd3b8c60d8d8f147a58ccd5ad0c93a"
+STRIPS = "fd800b9bc1b98f70f59f79be8e3c77f6c132131a16b94082d36bf562966f3e89"  # boxes in water one cell deep; the rest to the bit
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD), SHIPPED)
-SAME_LAW = {LAYERS: WALLS}  # the same of segments with a law of the wall; SPREAD gives the water its force over a layer
+SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS), SHIPPED)
+SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD}  # of segments with a law of the wall; SPREAD gives the water its force over a layer
 
 
 @cache
