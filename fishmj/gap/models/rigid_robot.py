@@ -43,6 +43,8 @@ LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that i
 SHORT = 0.02  # m, least size of a body
 SAME_AT_CENTRE = ("payload",)  # as a heavier body, where its centre is the place from which the effect counts
 AFTERWARDS = 1e6  # s for which the last command holds
+DRAWS = 24  # of commands that chance changes, more than the averages in a segment of four joints
+WEAK = 1e-3  # of the largest change by them in a segment, which is none
 KEPT = 64  # sets of commands, and of defects, that are kept
 
 
@@ -56,10 +58,11 @@ class PlacedEffect(NamedTuple):
 
 
 class PresentEffect(NamedTuple):
-    """An effect that is not at its null in a row. p: its parameters by name."""
+    """An effect that is not at its null in a row. p: its parameters by name. draw: 0 for its mean, else the number of a draw."""
 
     placed: PlacedEffect
     p: SimpleNamespace
+    draw: int = 0
 
 
 class RigidRobot(ParameterRow):
@@ -234,7 +237,7 @@ class RigidRobot(ParameterRow):
         for factor, multiply in factors:
             multiply(m, factor)
         laws: dict[str, dict[str, tuple[float, ...]]] = {}
-        for placed, p in acting:
+        for placed, p, _ in acting:
             if placed.form.fields is not None:
                 placed.form.fields(self.robot.site(m, placed.form.site, placed.site), p)
             if placed.form.law is not None:
@@ -283,7 +286,7 @@ class RigidRobot(ParameterRow):
         """(J,) scale and zero of the joints' encoders."""
         scale, zero = np.ones(self.joints), np.zeros(self.joints)
         names = self.robot.channels
-        for placed, p in present:
+        for placed, p, _ in present:
             if placed.form.reading is not None:
                 factor, offset = placed.form.reading(p)
                 scale[names.index(placed.site)] *= factor
@@ -388,6 +391,8 @@ class RigidRobot(ParameterRow):
         """(S, T, A) mean of each command over each step, after the delays; kept for the last few."""
         changes = [x for x in present if x.placed.form.command is not None]
         fixed, drift = _delay(present)
+        if any(x.draw for x in changes):  # asked for once
+            return self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None])
         acts = tuple((x.placed.first, *vars(x.p).values()) for x in changes)
         key = (mark, steps, fixed, drift, acts)
         if key not in self._sent:
@@ -400,9 +405,13 @@ class RigidRobot(ParameterRow):
         for a in range(out.shape[2]):
             sent, asked = record.sent, record.commands[:, a]
             mine = self.robot.site_of(a)
-            for placed, p in changes:
+            for placed, p, draw in changes:
                 apart = placed.form.site == "thrusters" and mine not in self.robot.thrusters
-                if placed.site in ("", mine) and not apart and placed.form.command is not None:
+                if placed.site not in ("", mine) or apart:
+                    continue
+                if draw and placed.form.scatter is not None:  # a packet holds the commands of all actuators: one seed for all
+                    sent, asked = placed.form.scatter(np.random.default_rng(draw), p, sent, asked)
+                elif placed.form.command is not None:
                     sent, asked = placed.form.command(p, sent, asked)
             edges = np.append(sent, sent[-1] + AFTERWARDS)
             whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
@@ -439,6 +448,24 @@ class RigidRobot(ParameterRow):
             out.append(np.concatenate([change * (place == s) for s in range(len(record.starts))]))
         return tuple(out)
 
+    def scatter(self, records: list[RobotRecord], layout: ResidualLayout, row: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Factors (K, m_l) of each record: what drawn commands (RobotForm.scatter) change beside their mean; () without any.
+
+        Each segment by itself: no packet reaches far beyond the next start, and a clock that holds commands drifts.
+        """
+        present = self._present(row)
+        if not any(x.placed.form.scatter is not None for x in present):
+            return ()
+        there = [[x._replace(draw=k) for x in present] for k in range(DRAWS + 1)]
+        models, out = [self._model(np.asarray(row, float), present)] * len(there), []
+        for i, (record, seen) in enumerate(zip(records, self._shoot(records, there, models), strict=True)):
+            residual = np.nan_to_num(ResidualLayout([record]).residuals([{"joint": seen}]))
+            change = (residual[1:] - residual[0]) / np.sqrt(DRAWS)
+            mine = [b for b in layout.blocks if b.record == i]
+            place = np.concatenate([np.searchsorted(record.starts, b.t, side="right") - 1 for b in mine])
+            out.append(np.concatenate([_few(change[:, place == s], place == s) for s in range(len(record.starts))]))
+        return tuple(out)
+
     def error_groups(self, record: RobotRecord) -> np.ndarray:
         """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""
         torques = np.repeat(np.arange(self.joints), len(self._hats(record)))
@@ -460,6 +487,15 @@ def _keep(kept: dict, key: Any, value: np.ndarray) -> None:
     while len(kept) >= KEPT:
         kept.pop(next(iter(kept)))
     kept[key] = value
+
+
+def _few(change: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """(k, m) rows with the same sum of squares as changes (K, n) at samples `where` (m,), no more than needed."""
+    _, size, v = np.linalg.svd(change, full_matrices=False)
+    keep = size > WEAK * max(float(size.max(initial=0.0)), LEAST)
+    out = np.zeros((int(keep.sum()), len(where)))
+    out[:, where] = size[keep, None] * v[keep]
+    return out
 
 
 def _delay(present: list[PresentEffect]) -> tuple[float, float]:

@@ -28,10 +28,13 @@ from fishmj.gap.progress import Bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
-from fishmj.gap.search.likelihood import Likelihood, costs, over_floor, relinearise
+from fishmj.gap.search.likelihood import Likelihood, costs, draws, over_floor, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
+
+
+SIZE_STEP = 1.2  # factor from one size of an effect that draws to the next
 
 
 # --------------------------------------------------------------------------------------------------------------- cross-validation
@@ -320,15 +323,67 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
 def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
     whole = e.subset()
-    few = e.subset(informative_records(base, e.layout, getattr(e.model, "screened_records", None)))
+    most = informative_records(base, e.layout, getattr(e.model, "screened_records", None))
+    few = e.subset(most)
     one = e.subset(informative_records(base, e.layout, 1))
     fine = one.grid_search(on_records(one, base), effects)
     likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]
     likely = sorted((on_records(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
     short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
+    if base.cost > thresholds().stepwise.drawn_from * e.layout.size:
+        drawn = [x for x in draws(e.model) if x in effects]
+        best = (min(drawn_candidates(e, most, on_records(few, base), x), key=lambda c: c.cost) for x in drawn)
+        newest = {c.names[-1]: c for c in (in_own_scatter(e, c) for c in best)}
+        short = sorted([*(c for c in short if c.names[-1] not in newest), *newest.values()], key=lambda c: c.cost)
     if not base.names:
         return short
     return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
+
+
+def drawn_candidates(e: Likelihood, keep: np.ndarray, base: Candidate, effect) -> list[Candidate]:
+    """`base` plus an effect that draws, at several sizes, on records keep (L,); each in S with what it draws.
+
+    cost: with log det S beyond that of `e`, so that it can be compared with the cost of others.
+    """
+    (p,) = effect.parameters
+    place, plain, out = e.model.index(effect.name, p.name), e.subset(keep).whiten.logdet, []
+    for value in np.geomspace(0.5 * p.typical[0], min(p.high, 2.0 * p.typical[1]), thresholds().stepwise.drawn_sizes):
+        row = base.row.copy()
+        row[place] = value
+        own = e.with_scatter(row).subset(keep)
+        c = own.at(row, (*base.names, effect.name), (*base.places, place))
+        out.append(replace(c, cost=c.cost + own.whiten.logdet - plain))
+    return out
+
+
+def in_own_scatter(e: Likelihood, c: Candidate) -> Candidate:
+    """A candidate whose newest effect draws, on all records, at its likeliest size; cost as of `drawn_candidates`.
+
+    From its size in steps, longer while they lower the cost, to a minimum between three of them, and to the vertex of the parabola.
+    """
+    plain, place, known = e.subset().whiten.logdet, c.places[-1], {}
+    low, high, _ = bounds(e.model)
+
+    def cost(step: float) -> float:
+        if step not in known:
+            row = c.row.copy()
+            row[place] = np.clip(c.row[place] * SIZE_STEP**step, low[place], high[place])
+            own = e.with_scatter(row).subset()
+            new = own.at(row, c.names, c.places)
+            known[step] = replace(new, cost=new.cost + own.whiten.logdet - plain)
+        return known[step].cost
+
+    at = 0
+    for _ in range(thresholds().stepwise.drawn_sizes):
+        best = min((at - 1, at, at + 1), key=cost)
+        if best == at:
+            break
+        at = best
+    before, here, after = (cost(at + side) for side in (-1, 0, 1))
+    bend = before - 2.0 * here + after
+    if bend > 0.0:
+        cost(at + 0.5 * (before - after) / bend)
+    return min(known.values(), key=lambda found: found.cost)
 
 
 def informative_records(c: Candidate, layout, most: int | None = None) -> np.ndarray:
