@@ -4,8 +4,7 @@ import numpy as np
 
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
-
-PHASES = 8
+PHASES = 8  # over which a mean is taken
 
 
 def command(p, t, c):

@@ -39,7 +39,7 @@ Secondary effects: the error of one effect's formula may look like another. An e
 Nor does it spoil the name of the large ones. The thresholds are those of [secondary] in data/calib/gap.toml.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -207,8 +207,10 @@ def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_
     # that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
     fitted = refine(uncertain.subset(), c)
-    if sizes := drawn_places(e.model, c.names):  # by their likelihood, which knows what they draw; their slopes know the mean alone
-        fitted.row[sizes] = c.row[sizes]
+    if sizes := drawn_places(e.model, c.names):  # slopes know the mean of what they draw alone; the search knew the whole
+        row = fitted.row.copy()
+        row[sizes] = c.row[sizes]
+        fitted = replace(fitted, row=row)
     value, spread = estimate(uncertain, fitted, by_stage)
     near = e.subset()
     base = found.base.cost + found.start_logdet
@@ -307,7 +309,7 @@ def support_of(
     else:
         polished = whole.refine([best, *others], 2)
         each = [likelihood.costs(c.z, whole.layout) for c in polished]
-        none, ours_before, order = without.cost, best.cost, range(len(polished))
+        none, ours_before, order = without.cost, best.cost, list(range(len(polished)))
     ours = next(i for i in order if polished[i].names == best.names)
     free = [i for i in order if polished[i].names != best.names and not on_bound(whole.model, polished[i])]
     share = likelihood.p_best(np.stack([each[i] for i in (ours, *free)]))

@@ -6,6 +6,8 @@
 
 theta_i is taken with run i left out of S (null/whitening.py), all of them from one Gram matrix. curvature: (J^T S^-1 J)^-1 on
 the data, which knows the autocorrelation. jackknife: one Gauss-Newton step with each record left out (Efron & Stein 1981).
+Of an effect that draws, what it draws tells its size, too:
+1 / variance += |C^-1/2 dC/dsize C^-1/2|^2 / 2, and its theta_i count by the share of the mean in what is known.
 formula_error: no formula is the robot's; for a calibrated model it was measured by stage on other waters
 (studies/structural_error/formula_error.py). A scale's reading has no such error: if weighings alone determine a value to within
 s, its square f^2 becomes 1 / (1/f^2 + 1/s^2), and the jackknife over records leaves them out.
@@ -63,10 +65,7 @@ def drawn_places(model, names) -> list[int]:
 
 
 def scatter_information(e: Likelihood, row: np.ndarray, place: int) -> float:
-    """Information on a size from what it makes the effect draw: half the sum of squares of C^-1/2 dC/dsize C^-1/2, record by record.
-
-    C: of each record alone.
-    """
+    """Information on a size from what an effect draws: half the sum of squares of C^-1/2 dC/dsize C^-1/2, C of each record."""
     rows = np.tile(row, (2, 1))
     rows[:, place] *= np.array([0.9, 1.1])
     ends = [e.model.scatter(e.records, e.layout, one) for one in rows]

@@ -33,7 +33,6 @@ from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
 
-
 SIZE_STEP = 1.2  # factor from one size of an effect that draws to the next
 
 
@@ -326,11 +325,14 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Can
     most = informative_records(base, e.layout, getattr(e.model, "screened_records", None))
     few = e.subset(most)
     one = e.subset(informative_records(base, e.layout, 1))
-    fine = one.grid_search(on_records(one, base), effects)
+    # Of a robot in MJCF, what mean square 1 leaves is nothing for hundreds of rollouts; a fish has few such effects.
+    loud = base.cost > thresholds().stepwise.drawn_from * e.layout.size
+    quick = [x for x in effects if all(p.shape for p in x.parameters if p.fine)]
+    fine = one.grid_search(on_records(one, base), effects if loud or not hasattr(e.model, "scatter") else quick)
     likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]
     likely = sorted((on_records(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
     short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
-    if base.cost > thresholds().stepwise.drawn_from * e.layout.size:
+    if loud:
         drawn = [x for x in draws(e.model) if x in effects]
         best = (min(drawn_candidates(e, most, on_records(few, base), x), key=lambda c: c.cost) for x in drawn)
         newest = {c.names[-1]: c for c in (in_own_scatter(e, c) for c in best)}
@@ -359,7 +361,7 @@ def drawn_candidates(e: Likelihood, keep: np.ndarray, base: Candidate, effect) -
 def in_own_scatter(e: Likelihood, c: Candidate) -> Candidate:
     """A candidate whose newest effect draws, on all records, at its likeliest size; cost as of `drawn_candidates`.
 
-    From its size in steps, longer while they lower the cost, to a minimum between three of them, and to the vertex of the parabola.
+    In steps from its size, while they lower the cost; then to the vertex of the parabola through the last three.
     """
     plain, place, known = e.subset().whiten.logdet, c.places[-1], {}
     low, high, _ = bounds(e.model)

@@ -2,6 +2,7 @@
 
     all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again .. while likelier
     from none, and from the best single effect of each of the best few sites; the likeliest of all
+    where that leaves torques: also from the best effect that draws, in S with what it draws, and the best at an exact value
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
@@ -86,7 +87,8 @@ def _unusual(e: Likelihood, few: np.ndarray, best: TorqueFit) -> list[TorqueFit]
         fit = stated.subset(few)
         exact = [x for x in model.active.effects if any(p.fine and not p.shape for p in x.parameters)]
         tried = fit.screen(fit.at(row), exact, fit.grid_search(fit.at(row), exact))[:1] if exact else []
-        tried += sorted((c for x in draws(model) for c in drawn_candidates(stated, few, fit.at(row), x)), key=lambda c: c.cost)[:1]
+        drawn = (c for x in draws(model) for c in drawn_candidates(stated, few, fit.at(row), x))
+        tried += sorted(drawn, key=lambda c: c.cost)[:1]
         out += [_measured_at(stated, c.row, bool(draws(model, c.names[-1:]))) for c in tried]
     return sorted(out, key=lambda fit: fit.loss)[: thresholds().torques.kept]
 
@@ -142,13 +144,15 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     """(J,) N m: most likely deviations of the torques at the joints, for a parameter row."""
     model, joints = e.model, e.model.joints
     residual = e.layout.residuals(model.predict(e.records, row))[0]
-    drawn = [np.full(len(mine), joints) for mine in e.scatter or [()] * len(e.records)]
+    groups = [model.error_groups(record) for record in e.records]
+    if e.scatter:  # as it is
+        groups = [np.append(mine, np.full(len(own), joints)) for mine, own in zip(groups, e.scatter, strict=True)]
     sample = Sample(
         null=e.factors,
         shared=np.zeros((0, e.layout.size)),
         group=np.zeros(0, int),
         parts=list(e.by_record),
-        groups=[np.concatenate([model.error_groups(record), own]).astype(int) for record, own in zip(e.records, drawn, strict=True)],
+        groups=groups,
         record=e.layout.record,
         variance=e.d**2,
         spread=np.zeros(e.layout.size),
