@@ -15,9 +15,9 @@ from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
 from fishmj.gap.search.fit import EffectFitter
 from fishmj.gap.search.likelihood import Likelihood, costs, losses
-from fishmj.gap.search.stepwise import drawn_candidates, in_own_scatter
 
 DRAWN = {"latency_jitter": ("sigma", 0.02), "packet_loss": ("probability", 0.5), "command_hold": ("period", 0.05)}
 

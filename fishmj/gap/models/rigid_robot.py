@@ -29,6 +29,7 @@ from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.robot_kernel import RobotKernel, can_roll
+from fishmj.gap.models.robot_scatter import DRAWS, drawn_factors
 from fishmj.gap.models.robot_sizes import RobotSizes
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
@@ -43,8 +44,6 @@ LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that i
 SHORT = 0.02  # m, least size of a body
 SAME_AT_CENTRE = ("payload",)  # as a heavier body, where its centre is the place from which the effect counts
 AFTERWARDS = 1e6  # s for which the last command holds
-DRAWS = 24  # of commands that chance changes, more than the averages in a segment of four joints
-WEAK = 1e-3  # of the largest change by them in a segment, which is none
 KEPT = 64  # sets of commands, and of defects, that are kept
 
 
@@ -457,14 +456,8 @@ class RigidRobot(ParameterRow):
         if not any(x.placed.form.scatter is not None for x in present):
             return ()
         there = [[x._replace(draw=k) for x in present] for k in range(DRAWS + 1)]
-        models, out = [self._model(np.asarray(row, float), present)] * len(there), []
-        for i, (record, seen) in enumerate(zip(records, self._shoot(records, there, models), strict=True)):
-            residual = np.nan_to_num(ResidualLayout([record]).residuals([{"joint": seen}]))
-            change = (residual[1:] - residual[0]) / np.sqrt(DRAWS)
-            mine = [b for b in layout.blocks if b.record == i]
-            place = np.concatenate([np.searchsorted(record.starts, b.t, side="right") - 1 for b in mine])
-            out.append(np.concatenate([_few(change[:, place == s], place == s) for s in range(len(record.starts))]))
-        return tuple(out)
+        seen = self._shoot(records, there, [self._model(np.asarray(row, float), present)] * len(there))
+        return tuple(drawn_factors(layout, i, one) for i, one in enumerate(seen))
 
     def error_groups(self, record: RobotRecord) -> np.ndarray:
         """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""
@@ -487,15 +480,6 @@ def _keep(kept: dict, key: Any, value: np.ndarray) -> None:
     while len(kept) >= KEPT:
         kept.pop(next(iter(kept)))
     kept[key] = value
-
-
-def _few(change: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """(k, m) rows with the same sum of squares as changes (K, n) at samples `where` (m,), no more than needed."""
-    _, size, v = np.linalg.svd(change, full_matrices=False)
-    keep = size > WEAK * max(float(size.max(initial=0.0)), LEAST)
-    out = np.zeros((int(keep.sum()), len(where)))
-    out[:, where] = size[keep, None] * v[keep]
-    return out
 
 
 def _delay(present: list[PresentEffect]) -> tuple[float, float]:

@@ -27,13 +27,12 @@ from fishmj.effects.ambiguity import together
 from fishmj.gap.progress import Bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
+from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, draws, over_floor, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
-
-SIZE_STEP = 1.2  # factor from one size of an effect that draws to the next
 
 
 # --------------------------------------------------------------------------------------------------------------- cross-validation
@@ -340,52 +339,6 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Can
     if not base.names:
         return short
     return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
-
-
-def drawn_candidates(e: Likelihood, keep: np.ndarray, base: Candidate, effect) -> list[Candidate]:
-    """`base` plus an effect that draws, at several sizes, on records keep (L,); each in S with what it draws.
-
-    cost: with log det S beyond that of `e`, so that it can be compared with the cost of others.
-    """
-    (p,) = effect.parameters
-    place, plain, out = e.model.index(effect.name, p.name), e.subset(keep).whiten.logdet, []
-    for value in np.geomspace(0.5 * p.typical[0], min(p.high, 2.0 * p.typical[1]), thresholds().stepwise.drawn_sizes):
-        row = base.row.copy()
-        row[place] = value
-        own = e.with_scatter(row).subset(keep)
-        c = own.at(row, (*base.names, effect.name), (*base.places, place))
-        out.append(replace(c, cost=c.cost + own.whiten.logdet - plain))
-    return out
-
-
-def in_own_scatter(e: Likelihood, c: Candidate) -> Candidate:
-    """A candidate whose newest effect draws, on all records, at its likeliest size; cost as of `drawn_candidates`.
-
-    In steps from its size, while they lower the cost; then to the vertex of the parabola through the last three.
-    """
-    plain, place, known = e.subset().whiten.logdet, c.places[-1], {}
-    low, high, _ = bounds(e.model)
-
-    def cost(step: float) -> float:
-        if step not in known:
-            row = c.row.copy()
-            row[place] = np.clip(c.row[place] * SIZE_STEP**step, low[place], high[place])
-            own = e.with_scatter(row).subset()
-            new = own.at(row, c.names, c.places)
-            known[step] = replace(new, cost=new.cost + own.whiten.logdet - plain)
-        return known[step].cost
-
-    at = 0
-    for _ in range(thresholds().stepwise.drawn_sizes):
-        best = min((at - 1, at, at + 1), key=cost)
-        if best == at:
-            break
-        at = best
-    before, here, after = (cost(at + side) for side in (-1, 0, 1))
-    bend = before - 2.0 * here + after
-    if bend > 0.0:
-        cost(at + 0.5 * (before - after) / bend)
-    return min(known.values(), key=lambda found: found.cost)
 
 
 def informative_records(c: Candidate, layout, most: int | None = None) -> np.ndarray:

@@ -22,9 +22,10 @@ from fishmj.effects import Effect
 from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.drawn_effects import drawn_candidates
 from fishmj.gap.search.fit import EffectFitter
 from fishmj.gap.search.likelihood import Likelihood, draws
-from fishmj.gap.search.stepwise import drawn_candidates, informative_records
+from fishmj.gap.search.stepwise import informative_records
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
