@@ -29,7 +29,7 @@ from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.robot_kernel import RobotKernel, can_roll
-from fishmj.gap.models.robot_scatter import DRAWS, drawn_factors
+from fishmj.gap.models.robot_scatter import DRAWS, scatter_of
 from fishmj.gap.models.robot_sizes import RobotSizes
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
@@ -390,9 +390,7 @@ class RigidRobot(ParameterRow):
         """(S, T, A) mean of each command over each step, after the delays; kept for the last few."""
         changes = [x for x in present if x.placed.form.command is not None]
         fixed, drift = _delay(present)
-        if any(x.draw for x in changes):  # asked for once
-            return self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None])
-        acts = tuple((x.placed.first, *vars(x.p).values()) for x in changes)
+        acts = tuple((x.placed.first, x.draw, *vars(x.p).values()) for x in changes)
         key = (mark, steps, fixed, drift, acts)
         if key not in self._sent:
             _keep(self._sent, key, self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None]))
@@ -447,17 +445,18 @@ class RigidRobot(ParameterRow):
             out.append(np.concatenate([change * (place == s) for s in range(len(record.starts))]))
         return tuple(out)
 
-    def scatter(self, records: list[RobotRecord], layout: ResidualLayout, row: np.ndarray) -> tuple[np.ndarray, ...]:
+    def scatter(self, records: list[RobotRecord], layout: ResidualLayout, row: np.ndarray, keep=None) -> tuple[np.ndarray, ...]:
         """Factors (K, m_l) of each record: what drawn commands (RobotForm.scatter) change beside their mean; () without any.
 
-        Each segment by itself: no packet reaches far beyond the next start, and a clock that holds commands drifts.
+        keep: (L,) bool, records that are asked for; the others get none.
         """
         present = self._present(row)
         if not any(x.placed.form.scatter is not None for x in present):
             return ()
         there = [[x._replace(draw=k) for x in present] for k in range(DRAWS + 1)]
-        seen = self._shoot(records, there, [self._model(np.asarray(row, float), present)] * len(there))
-        return tuple(drawn_factors(layout, i, one) for i, one in enumerate(seen))
+        models = [self._model(np.asarray(row, float), present)] * len(there)
+        asked = range(len(records)) if keep is None else np.flatnonzero(keep).tolist()
+        return scatter_of(layout, dict(zip(asked, self._shoot([records[i] for i in asked], there, models), strict=True)))
 
     def error_groups(self, record: RobotRecord) -> np.ndarray:
         """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""

@@ -1,4 +1,9 @@
-"""Covariance of what draws of a robot's commands change beside their mean, segment by segment."""
+"""Covariance of what draws of a robot's commands change beside their mean.
+
+Each segment by itself: no packet reaches far beyond the next start, and a clock that holds commands drifts.
+"""
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -6,6 +11,12 @@ from fishmj.gap.records.records import ResidualLayout
 
 DRAWS = 24  # more than the averages in a segment of four joints
 WEAK = 1e-3  # of the largest change in a segment, which is none
+
+
+def scatter_of(layout: ResidualLayout, seen: Mapping[int, np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Factors (k, m_l) of every record. seen: {number of a record: readings as of `drawn_factors`}; of others there are none."""
+    none = [np.zeros((0, int(np.sum(layout.record == i)))) for i in range(len(layout.records))]
+    return tuple(drawn_factors(layout, i, seen[i]) if i in seen else empty for i, empty in enumerate(none))
 
 
 def drawn_factors(layout: ResidualLayout, number: int, seen: np.ndarray) -> np.ndarray:

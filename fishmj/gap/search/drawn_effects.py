@@ -22,7 +22,7 @@ def drawn_candidates(e: Likelihood, keep: np.ndarray, base: Candidate, effect) -
     for value in np.geomspace(0.5 * p.typical[0], min(p.high, 2.0 * p.typical[1]), thresholds().stepwise.drawn_sizes):
         row = base.row.copy()
         row[place] = value
-        own = e.with_scatter(row).subset(keep)
+        own = e.with_scatter(row, keep).subset(keep)
         c = own.at(row, (*base.names, effect.name), (*base.places, place))
         out.append(replace(c, cost=c.cost + own.whiten.logdet - plain))
     return out

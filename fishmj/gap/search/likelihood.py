@@ -142,9 +142,9 @@ class Likelihood:
         alone = self._structural.by_record
         return tuple(np.concatenate(both) for both in zip(alone, self.scatter, strict=True)) if self.scatter else alone
 
-    def with_scatter(self, row: np.ndarray) -> "Likelihood":
-        """The same with what the effects of a row draw, and no other effect does."""
-        drawn = self.model.scatter(self.records, self.layout, row) if draws(self.model) else ()
+    def with_scatter(self, row: np.ndarray, keep: np.ndarray | None = None) -> "Likelihood":
+        """The same with what the effects of a row draw, and no other effect does. keep: (L,) bool, records that will count."""
+        drawn: tuple[np.ndarray, ...] = self.model.scatter(self.records, self.layout, row, keep) if draws(self.model) else ()
         if not drawn and not self.scatter:
             return self
         there = copy(self)
