@@ -10,6 +10,7 @@ from test_gap_robot import records_of
 
 from fishmj import effects
 from fishmj.effects.effect import Parameter
+from fishmj.gap.decide.decide import near_in_likelihood
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
@@ -89,6 +90,14 @@ def test_scatter_tells_jitter_from_a_latency(late):
     assert loss["latency_jitter"] < loss["command_latency"] - 100.0
     sigma = found["latency_jitter"].row[model.index("latency_jitter", "sigma")]
     assert sigma == pytest.approx(0.02, rel=0.25)
+
+
+def test_of_two_effects_that_draw_one_must_lead_by_more(late):
+    model, e = late
+    lead = {"latency_jitter": 0.0, "packet_loss": 60.0, "command_hold": 160.0, "command_latency": 60.0}
+    ranked = tuple(SimpleNamespace(names=(name,), cost=cost) for name, cost in lead.items())
+    step = SimpleNamespace(accepted=True, ranked=ranked)
+    assert near_in_likelihood(SimpleNamespace(near=e, steps=(step,)), "latency_jitter") == {"packet_loss"}
 
 
 def test_losses_of_the_records_are_the_loss_of_all(late):

@@ -281,12 +281,16 @@ def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
 def near_in_likelihood(found: Selection, name: str) -> set[str]:
     """Effects of a robot in MJCF whose likelihood came so close to that of `name`, in the round that added it, as chance may.
 
-    |z|^2 in the covariance of the found effect is no judge of another one that moves the constants' tangents elsewhere.
+    |z|^2 in the covariance of the found effect is no judge of another one that moves the constants' tangents elsewhere. Of two
+    effects that draw, one must lead by the gain of a finding: a lost packet and a late one look alike, and draws are few.
     """
-    if not hasattr(found.near.model, "torque_tolerance"):
+    model, limits = found.near.model, thresholds().torques
+    if not hasattr(model, "torque_tolerance"):
         return set()
     rounds = [step.ranked for step in found.steps if step.accepted and step.ranked[0].names[-1] == name]
-    return {c.names[-1] for ranked in rounds for c in ranked[1:] if c.cost - ranked[0].cost < thresholds().torques.lead}
+    asked = {x.name: limits.gain for x in likelihood.draws(model)} if likelihood.draws(model, (name,)) else {}
+    close = lambda c, best: c.cost - best.cost < asked.get(c.names[-1], limits.lead)
+    return {c.names[-1] for ranked in rounds for c in ranked[1:] if close(c, ranked[0])}
 
 
 def support_of(
