@@ -69,7 +69,10 @@ class RobotForm(NamedTuple):
 
         fields(site, p)                     changes fields of site.m, an MjModel
         reading(p) -> (scale, zero)         a joint reads scale x angle - zero
-        command(p, t, c) -> (t, c)          commands (T,) of one actuator and their stamps (T,)
+        command(p, t, c) -> (t, c)          commands (T,) of one actuator and their stamps (T,); their mean, if they are drawn
+        scatter(rng, p, t, c) -> (t, c)     one draw of commands that chance or a hidden state changes,
+                                            of an effect of one parameter
+        simulated(p, t, c) -> (t, c)        the commands for a simulation, where they are not the mean
         law(joint, memory, *parameters) -> (torque, friction)     what no field of MuJoCo holds, at each step: a torque on the
                                             joint, and a limit of dry friction on top of the model's. joint: sites.JointMotion;
                                             memory: four numbers, zero at the start. Scalars, and the names of LAW_MATH only: its
@@ -84,6 +87,8 @@ class RobotForm(NamedTuple):
     fields: Callable | None = None
     reading: Callable | None = None
     command: Callable | None = None
+    scatter: Callable | None = None
+    simulated: Callable | None = None
     law: Callable | None = None
     confusions: tuple["Confusion", ...] = ()
 

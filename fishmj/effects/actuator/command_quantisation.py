@@ -32,7 +32,7 @@ EFFECT = Effect(
     robot=RobotForm(
         site="actuator",
         scale="command",
-        parameters=(Parameter(name="step", unit="N m or rad", low=0.0, high=2.0, typical=(0.05, 0.3)),),
+        parameters=(Parameter(name="step", unit="N m or rad", low=0.0, high=2.0, typical=(0.05, 0.3), fine=True),),
         command=robot_command,
     ),
     rank=1,

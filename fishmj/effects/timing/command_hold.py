@@ -4,13 +4,28 @@ import numpy as np
 
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
+PHASES = 8  # over which a mean is taken
+
 
 def command(p, t, c):
-    """Every `period`, the latest command; between them the earlier one holds."""
-    if p.period <= np.median(np.diff(t)):
+    """Mean over the moments at which the bus may take a command, which no log tells: each waits from none to a whole period."""
+    stamps = t[:, None] + p.period * (np.arange(PHASES) + 0.5) / PHASES
+    order = np.argsort(stamps, axis=None, kind="stable")
+    jumps = np.repeat(np.diff(c, prepend=c[0]) / PHASES, PHASES)
+    return stamps.ravel()[order], c[0] + np.cumsum(jumps[order])
+
+
+def held(p, t, c, first=0.0):
+    """Every `period`, the latest command; between them the earlier one holds. first: when, as a share of the period."""
+    if p.period <= 0.1 * np.median(np.diff(t)):
         return t, c
-    ticks = np.arange(t[0], t[-1] + p.period, p.period)
+    ticks = np.arange(t[0] + (first - 1.0) * p.period, t[-1] + p.period, p.period)
     return ticks, c[np.maximum(np.searchsorted(t, ticks + 1e-9, side="right") - 1, 0)]
+
+
+def drawn_commands(rng, p, t, c):
+    """One draw for a whole record."""
+    return held(p, t, c, rng.uniform())
 
 
 EFFECT = Effect(
@@ -26,6 +41,8 @@ EFFECT = Effect(
         site="robot",
         parameters=(Parameter(name="period", unit="s", low=0.0, high=0.2, typical=(0.008, 0.04)),),
         command=command,
+        scatter=drawn_commands,
+        simulated=held,
         confusions=(Confusion("command_latency", "a hold makes steps: command a fast ramp and read the torque"),),
     ),
 )

@@ -28,6 +28,12 @@ def command(p, t, c):
     return stamps.ravel()[order], c[0] + np.cumsum(jumps[order])
 
 
+def drawn_commands(rng, p, t, c):
+    """One draw for a whole record."""
+    new = np.append(True, np.diff(c) != 0.0)
+    return scatter(rng, p, (t[new], c[new]))
+
+
 EFFECT = Effect(
     name="latency_jitter",
     stage="timing",
@@ -44,6 +50,7 @@ EFFECT = Effect(
         site="robot",
         parameters=(Parameter(name="sigma", unit="s", low=0.0, high=0.1, typical=(0.003, 0.03)),),
         command=command,
+        scatter=drawn_commands,
         confusions=(
             Confusion("command_latency", "commands spread, too: compare the stamps at both ends"),
             Confusion("packet_loss", "no plateaus: compare the stamps at both ends"),

@@ -23,6 +23,12 @@ def command(p, t, c):
     return t, lfilter([1.0 - p.probability], [1.0, -p.probability], c, zi=[p.probability * c[0]])[0]
 
 
+def drawn_commands(rng, p, t, c):
+    """One draw for a whole record."""
+    new = np.append(True, np.diff(c) != 0.0)
+    return scatter(rng, p, (t[new], c[new]))
+
+
 EFFECT = Effect(
     name="packet_loss",
     stage="timing",
@@ -39,6 +45,7 @@ EFFECT = Effect(
         site="robot",
         parameters=(Parameter(name="probability", unit="1", low=0.0, high=0.9, typical=(0.02, 0.3)),),
         command=command,
+        scatter=drawn_commands,
         confusions=(
             Confusion("command_latency", "plateaus at random times: compare the stamps at both ends"),
             Confusion("command_hold", "plateaus at random times: compare the stamps at both ends"),

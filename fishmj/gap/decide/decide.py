@@ -39,13 +39,13 @@ Secondary effects: the error of one effect's formula may look like another. An e
 Nor does it spoil the name of the large ones. The thresholds are those of [secondary] in data/calib/gap.toml.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from fishmj.effects.ambiguity import containing, together
 from fishmj.effects.effect import Parameter
-from fishmj.gap.decide.intervals import estimate
+from fishmj.gap.decide.intervals import drawn_places, estimate
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood
@@ -206,7 +206,12 @@ def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_
     # Values are refitted with the constants as uncertain as the formulas. With that uncertainty in the selection, too, an effect
     # that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
-    value, spread = estimate(uncertain, refine(uncertain.subset(), c), by_stage)
+    fitted = refine(uncertain.subset(), c)
+    if sizes := drawn_places(e.model, c.names):  # slopes know the mean of what they draw alone; the search knew the whole
+        row = fitted.row.copy()
+        row[sizes] = c.row[sizes]
+        fitted = replace(fitted, row=row)
+    value, spread = estimate(uncertain, fitted, by_stage)
     near = e.subset()
     base = found.base.cost + found.start_logdet
     ideal = near.whiten.logdet + e.layout.size
@@ -268,40 +273,55 @@ def step_table(step) -> dict:
 # ------------------------------------------------------------------------------------------------------------------------- rivals
 def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
     """Support of every found effect."""
-    whole = found.near.subset()
-    best = on_records(whole, found.best)
+    best = on_records(found.near.subset(), found.best)
     rivals = [c for step in found.steps if step.accepted for c in step.ranked]
-    return {name: support_of(whole, best, name, rivals, gates, near_in_likelihood(found, name)) for name in best.names}
+    return {name: support_of(found.near, best, name, rivals, gates, near_in_likelihood(found, name)) for name in best.names}
 
 
 def near_in_likelihood(found: Selection, name: str) -> set[str]:
     """Effects of a robot in MJCF whose likelihood came so close to that of `name`, in the round that added it, as chance may.
 
-    |z|^2 in the covariance of the found effect is no judge of another one that moves the constants' tangents elsewhere.
+    |z|^2 in the covariance of the found effect is no judge of another one that moves the constants' tangents elsewhere. Of two
+    effects that draw, one must lead by the gain of a finding: a lost packet and a late one look alike, and draws are few.
     """
-    if not hasattr(found.near.model, "torque_tolerance"):
+    model, limits = found.near.model, thresholds().torques
+    if not hasattr(model, "torque_tolerance"):
         return set()
     rounds = [step.ranked for step in found.steps if step.accepted and step.ranked[0].names[-1] == name]
-    return {c.names[-1] for ranked in rounds for c in ranked[1:] if c.cost - ranked[0].cost < thresholds().torques.lead}
+    asked = {x.name: limits.gain for x in likelihood.draws(model)} if likelihood.draws(model, (name,)) else {}
+    close = lambda c, best: c.cost - best.cost < asked.get(c.names[-1], limits.lead)
+    return {c.names[-1] for ranked in rounds for c in ranked[1:] if close(c, ranked[0])}
 
 
 def support_of(
-    whole: EffectFitter, best: Candidate, name: str, ranked, gates: Gates, near: set[str] | frozenset[str] = frozenset()
+    e: Likelihood, best: Candidate, name: str, ranked, gates: Gates, near: set[str] | frozenset[str] = frozenset()
 ) -> Support:
     """Support of one effect against the finalists of all rounds. near: names of rivals in any case.
 
-    A set with a parameter on a bound is no rival: it is a limiting form that mimics the best.
+    A set with a parameter on a bound is no rival: it is a limiting form that mimics the best. Where an effect draws, each set is
+    taken in S with what it draws itself, and log det S counts.
     """
-    gain = max(drop_effect(whole, best, name).cost - best.cost, 1e-9)
+    whole, without = e.subset(), drop_effect(e.subset(), best, name)
     tried = (swap_effect(whole, best, name, c) for c in ranked if name not in c.names)
     others = list({frozenset(c.names): c for c in (*tried, *known_twins(whole, best, name)) if c is not None}.values())
-    polished = whole.refine([best, *others], 2)
-    ours = next(c for c in polished if c.names == best.names)
-    free = [c for c in polished if c.names != best.names and not on_bound(whole.model, c)]
-    share = likelihood.p_best(np.stack([likelihood.costs(c.z, whole.layout) for c in (ours, *free)]))
+    if likelihood.draws(whole.model, {n for c in (best, *others) for n in c.names}):
+        fitters = [e.with_scatter(c.row).subset() for c in (best, *others)]
+        polished = [f.refine([on_records(f, c)], 2)[0] for f, c in zip(fitters, (best, *others), strict=True)]
+        each = [likelihood.losses(f, c.z) for f, c in zip(fitters, polished, strict=True)]
+        none, ours_before = (e.with_scatter(c.row).loss(c.row) for c in (without, best))
+        order = sorted(range(len(polished)), key=lambda i: float(each[i].sum()))
+    else:
+        polished = whole.refine([best, *others], 2)
+        each = [likelihood.costs(c.z, whole.layout) for c in polished]
+        none, ours_before, order = without.cost, best.cost, list(range(len(polished)))
+    ours = next(i for i in order if polished[i].names == best.names)
+    free = [i for i in order if polished[i].names != best.names and not on_bound(whole.model, polished[i])]
+    share = likelihood.p_best(np.stack([each[i] for i in (ours, *free)]))
+    loss = [c.cost - float(np.sum(c.z**2)) + float(mine.sum()) for c, mine in zip(polished, each, strict=True)]
+    gain = max(none - ours_before, 1e-9)
     rivals = []
-    for c, p in zip(free, share[1:], strict=True):
-        behind = (c.cost - ours.cost) / gain
+    for i, p in zip(free, share[1:], strict=True):
+        c, behind = polished[i], (loss[i] - loss[ours]) / gain
         close = behind < min(gates.margin, gates.rival_margin_abs / gain) or c.names[-1] in near
         if close or p > 1 - gates.p_best:
             rivals.append(Rival(c.names[-1], float(p), float(behind)))

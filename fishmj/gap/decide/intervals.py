@@ -6,6 +6,8 @@
 
 theta_i is taken with run i left out of S (null/whitening.py), all of them from one Gram matrix. curvature: (J^T S^-1 J)^-1 on
 the data, which knows the autocorrelation. jackknife: one Gauss-Newton step with each record left out (Efron & Stein 1981).
+Of an effect that draws, what it draws tells its size, too:
+1 / variance += |C^-1/2 dC/dsize C^-1/2|^2 / 2, and its theta_i count by the share of the mean in what is known.
 formula_error: no formula is the robot's; for a calibrated model it was measured by stage on other waters
 (studies/structural_error/formula_error.py). A scale's reading has no such error: if weighings alone determine a value to within
 s, its square f^2 becomes 1 / (1/f^2 + 1/s^2), and the jackknife over records leaves them out.
@@ -17,7 +19,7 @@ from fishmj.base.least_squares import jackknife_sd
 from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search.fit import Candidate, bounds, difference_rows
-from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.likelihood import Likelihood, draws
 from fishmj.gap.thresholds import thresholds
 
 
@@ -42,6 +44,10 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     if len(e.records) < limits.jackknife_records:
         by_jackknife = np.minimum(by_jackknife, limits.jackknife_cap * by_curvature)
     sampling = np.maximum(by_curvature, by_jackknife)
+    for place in drawn_places(e.model, c.names):
+        k, told = places.index(place), scatter_information(e, c.row, place)
+        share = 1.0 / (1.0 + told * sampling[k] ** 2)  # of the mean in what is known
+        sampling[k], spurious[:, k] = sampling[k] * np.sqrt(share), spurious[:, k] * share
     stage = {e.model.index(x.name, p.name): x.stage for x in e.model.active.effects for p in x.parameters}
     errors = np.array([e.formula_error(stage[place]) if by_stage else limits.formula_error for place in places])
     form = errors * np.abs(c.row[places] - e.model.null[places])
@@ -51,6 +57,25 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     usual = spurious.mean(0) if e.drawn else 0.0
     values = np.clip(c.row[places] - usual, low[places], high[places])
     return values, np.sqrt(np.mean((spurious - usual) ** 2, 0) + sampling**2 + form**2)
+
+
+def drawn_places(model, names) -> list[int]:
+    """Places in a parameter row of those of some effects that draw."""
+    return [model.index(x.name, p.name) for x in draws(model, names) for p in x.parameters]
+
+
+def scatter_information(e: Likelihood, row: np.ndarray, place: int) -> float:
+    """Information on a size from what an effect draws: half the sum of squares of C^-1/2 dC/dsize C^-1/2, C of each record."""
+    rows = np.tile(row, (2, 1))
+    rows[:, place] *= np.array([0.9, 1.1])
+    ends = [e.model.scatter(e.records, e.layout, one) for one in rows]
+    total = 0.0
+    for i, (less, more) in enumerate(zip(*ends, strict=True)):
+        mine = e.layout.record == i
+        alone = record_whitening(e.d[mine], [e.by_record[i]], np.zeros(int(mine.sum())))
+        less, more = alone(less), alone(more)
+        total += 0.5 * float(np.sum((more.T @ more - less.T @ less) ** 2))
+    return total / float(np.diff(rows[:, place])[0]) ** 2
 
 
 def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:

@@ -87,7 +87,8 @@ def module_text(xml: str, robot: Any, m: Any, beyond: BeyondFields, rest: Mappin
     """Text of the module. xml, m: name and model of the patched description. rest: usual torques, `joint_laws.limit_of`."""
     known = list(joint_laws.laws())
     texts = {name: joint_laws.text_of(name, joint_laws.laws()[name][0].law) for mine in beyond.laws.values() for name in mine}
-    texts |= {effect.name: joint_laws.text_of(effect.name, effect.robot.command) for _, effect, _ in beyond.commands}
+    delivers = {effect.name: effect.robot.simulated or effect.robot.command for _, effect, _ in beyond.commands}
+    texts |= {name: joint_laws.text_of(name, function) for name, function in delivers.items()}
     rows = []
     for j in robot.joints:
         if j.name in beyond.laws:

@@ -29,6 +29,7 @@ from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.robot_kernel import RobotKernel, can_roll
+from fishmj.gap.models.robot_scatter import DRAWS, scatter_of
 from fishmj.gap.models.robot_sizes import RobotSizes
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import ResidualLayout
@@ -56,10 +57,11 @@ class PlacedEffect(NamedTuple):
 
 
 class PresentEffect(NamedTuple):
-    """An effect that is not at its null in a row. p: its parameters by name."""
+    """An effect that is not at its null in a row. p: its parameters by name. draw: 0 for its mean, else the number of a draw."""
 
     placed: PlacedEffect
     p: SimpleNamespace
+    draw: int = 0
 
 
 class RigidRobot(ParameterRow):
@@ -234,7 +236,7 @@ class RigidRobot(ParameterRow):
         for factor, multiply in factors:
             multiply(m, factor)
         laws: dict[str, dict[str, tuple[float, ...]]] = {}
-        for placed, p in acting:
+        for placed, p, _ in acting:
             if placed.form.fields is not None:
                 placed.form.fields(self.robot.site(m, placed.form.site, placed.site), p)
             if placed.form.law is not None:
@@ -283,7 +285,7 @@ class RigidRobot(ParameterRow):
         """(J,) scale and zero of the joints' encoders."""
         scale, zero = np.ones(self.joints), np.zeros(self.joints)
         names = self.robot.channels
-        for placed, p in present:
+        for placed, p, _ in present:
             if placed.form.reading is not None:
                 factor, offset = placed.form.reading(p)
                 scale[names.index(placed.site)] *= factor
@@ -388,7 +390,7 @@ class RigidRobot(ParameterRow):
         """(S, T, A) mean of each command over each step, after the delays; kept for the last few."""
         changes = [x for x in present if x.placed.form.command is not None]
         fixed, drift = _delay(present)
-        acts = tuple((x.placed.first, *vars(x.p).values()) for x in changes)
+        acts = tuple((x.placed.first, x.draw, *vars(x.p).values()) for x in changes)
         key = (mark, steps, fixed, drift, acts)
         if key not in self._sent:
             _keep(self._sent, key, self._mean_commands(record, steps, changes, fixed + drift * record.starts[:, None]))
@@ -400,9 +402,13 @@ class RigidRobot(ParameterRow):
         for a in range(out.shape[2]):
             sent, asked = record.sent, record.commands[:, a]
             mine = self.robot.site_of(a)
-            for placed, p in changes:
+            for placed, p, draw in changes:
                 apart = placed.form.site == "thrusters" and mine not in self.robot.thrusters
-                if placed.site in ("", mine) and not apart and placed.form.command is not None:
+                if placed.site not in ("", mine) or apart:
+                    continue
+                if draw and placed.form.scatter is not None:  # a packet holds the commands of all actuators: one seed for all
+                    sent, asked = placed.form.scatter(np.random.default_rng(draw), p, sent, asked)
+                elif placed.form.command is not None:
                     sent, asked = placed.form.command(p, sent, asked)
             edges = np.append(sent, sent[-1] + AFTERWARDS)
             whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
@@ -438,6 +444,19 @@ class RigidRobot(ParameterRow):
             place = np.concatenate([np.searchsorted(record.starts, b.t, side="right") - 1 for b in mine])
             out.append(np.concatenate([change * (place == s) for s in range(len(record.starts))]))
         return tuple(out)
+
+    def scatter(self, records: list[RobotRecord], layout: ResidualLayout, row: np.ndarray, keep=None) -> tuple[np.ndarray, ...]:
+        """Factors (K, m_l) of each record: what drawn commands (RobotForm.scatter) change beside their mean; () without any.
+
+        keep: (L,) bool, records that are asked for; the others get none.
+        """
+        present = self._present(row)
+        if not any(x.placed.form.scatter is not None for x in present):
+            return ()
+        there = [[x._replace(draw=k) for x in present] for k in range(DRAWS + 1)]
+        models = [self._model(np.asarray(row, float), present)] * len(there)
+        asked = range(len(records)) if keep is None else np.flatnonzero(keep).tolist()
+        return scatter_of(layout, dict(zip(asked, self._shoot([records[i] for i in asked], there, models), strict=True)))
 
     def error_groups(self, record: RobotRecord) -> np.ndarray:
         """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""

@@ -88,7 +88,7 @@ class EffectFitter:
             # Even in 1 / step, not in step: the phase of the jumps is c / step, and a grid even in step would be far too coarse
             # for small steps and waste most of its values on large ones.
             last = 1.0 / min(abs(t - p.null) for t in p.typical)
-            inverse, spacing = np.linspace(0.5 / _size(p), last, limits.grid_values, retstep=True)
+            inverse, spacing = np.linspace(1.0 / max(p.high - p.null, p.null - p.low), last, limits.grid_values, retstep=True)
             beside = spacing * np.arange(-limits.grid_neighbours, limits.grid_neighbours + 1) / (limits.grid_neighbours + 1)
             for _ in range(2):
                 rows = np.tile(base.row, (len(inverse), 1))

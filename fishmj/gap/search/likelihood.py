@@ -11,6 +11,9 @@ responds differently to its constants:
                             constants, and model error (form c)^2, where c is the change that the effects make
                             (model_error.py)
 
+An effect that draws (RobotForm.scatter) adds to S what its draws change beside their mean: of a latency's jitter the mean is
+a plain latency, and only the scatter tells both apart.
+
 gap       |z|^2 / m, before in the S of the present model and after in that of the fish with the effects: input of the gates
           `adequacy` and `rest`. Healthy robots leave about 1
 floor     W(t), root mean square of null runs and structural error. The residual has to shrink over it, too: S grows with the
@@ -89,8 +92,8 @@ class Likelihood:
         """
         self.widths = widths
         self._structural = structural_error.of(self.model, self.records, self.layout, null, self._left, widths, moved)
+        self.scatter: tuple[np.ndarray, ...] = ()
         self.factors = np.concatenate([self._null_factors, self._structural.shared, self._launches])
-        self.by_record = self._structural.by_record
         self.d = np.sqrt(self._left**2 + self._structural.variance)
         self.scale = np.sqrt(np.mean(null**2, 0) + self._left**2 + self._structural.total)
         known = self.d**2
@@ -132,6 +135,22 @@ class Likelihood:
         """
         any_formula = thresholds().intervals.formula_error
         return max(any_formula, self.widths.formula.get(stage, 0.0)) if self.calibrated else any_formula
+
+    @property
+    def by_record(self) -> tuple[np.ndarray, ...]:
+        """Factors (K_l, m_l) of each record alone: of its errors, then of what is drawn."""
+        alone = self._structural.by_record
+        return tuple(np.concatenate(both) for both in zip(alone, self.scatter, strict=True)) if self.scatter else alone
+
+    def with_scatter(self, row: np.ndarray, keep: np.ndarray | None = None) -> "Likelihood":
+        """The same with what the effects of a row draw, and no other effect does. keep: (L,) bool, records that will count."""
+        drawn: tuple[np.ndarray, ...] = self.model.scatter(self.records, self.layout, row, keep) if draws(self.model) else ()
+        if not drawn and not self.scatter:
+            return self
+        there = copy(self)
+        there.scatter = drawn
+        there.response = self.response._replace(by_record=there.by_record)
+        return there
 
     @property
     def draws(self) -> int:
@@ -201,7 +220,7 @@ class Likelihood:
         there.factors = np.concatenate(factors)
         scatter = smooth(change, self.layout)
         there.response = ModelResponse(there.factors, self.by_record, self.layout.record, known, change, scatter)
-        return there.with_model_error(start.form if form is None else form)
+        return there.with_scatter(row).with_model_error(start.form if form is None else form)
 
     def _null_through_sensors(self, row: np.ndarray) -> np.ndarray:
         """(n, m) null runs over sqrt(n), through the sensors of a parameter row."""
@@ -303,6 +322,12 @@ class Likelihood:
         return over_floor(self._residuals(row[None])[0], self.scale, self.layout)
 
 
+def draws(model, names=None) -> list:
+    """Effects of a model, of these names, that draw (RobotForm.scatter)."""
+    known = model.active.effects if hasattr(model, "scatter") else ()
+    return [x for x in known if x.robot.scatter and (names is None or x.name in names)]
+
+
 def likelihood_of(model, records: list[Record], null, bars: Bars = silent_bar, swims: Likelihood | None = None) -> Likelihood:
     """Likelihood of records with the null runs of `null` (a `SimulatedNull`).
 
@@ -362,6 +387,15 @@ def closure(cost_before: float, cost_after: float, size: float) -> float:
     """Share of the excess over m that is removed; all of it once |z|^2 is below m."""
     gone = cost_before - cost_after
     return float(gone / max(cost_before - size, gone)) if gone > 0 else 0.0
+
+
+def losses(fitter: EffectFitter, z: np.ndarray) -> np.ndarray:
+    """|z|^2 + log det S of each record (L,), z (m,): what they share of log det S in equal parts."""
+    whiten, record = fitter.whiten, fitter.layout.record
+    out = np.bincount(record, weights=2.0 * np.log(whiten.alone.d)) - 2.0 * np.sum(np.log(whiten.g)) / len(fitter.records)
+    for where, _, g in whiten.alone.parts:
+        out[record[where.start]] -= 2.0 * np.sum(np.log(g))
+    return out + costs(z, fitter.layout)
 
 
 def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:

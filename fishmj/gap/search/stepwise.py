@@ -27,8 +27,9 @@ from fishmj.effects.ambiguity import together
 from fishmj.gap.progress import Bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
+from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
-from fishmj.gap.search.likelihood import Likelihood, costs, over_floor, relinearise
+from fishmj.gap.search.likelihood import Likelihood, costs, draws, over_floor, relinearise
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
@@ -320,12 +321,21 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
 def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
     """The best candidates on all records, fitted; best first."""
     whole = e.subset()
-    few = e.subset(informative_records(base, e.layout, getattr(e.model, "screened_records", None)))
+    most = informative_records(base, e.layout, getattr(e.model, "screened_records", None))
+    few = e.subset(most)
     one = e.subset(informative_records(base, e.layout, 1))
-    fine = one.grid_search(on_records(one, base), effects)
+    # Of a robot in MJCF, what mean square 1 leaves is nothing for hundreds of rollouts; a fish has few such effects.
+    loud = base.cost > thresholds().stepwise.drawn_from * e.layout.size
+    quick = [x for x in effects if all(p.shape for p in x.parameters if p.fine)]
+    fine = one.grid_search(on_records(one, base), effects if loud or not hasattr(e.model, "scatter") else quick)
     likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]
     likely = sorted((on_records(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
     short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
+    if loud:
+        drawn = [x for x in draws(e.model) if x in effects]
+        best = (min(drawn_candidates(e, most, on_records(few, base), x), key=lambda c: c.cost) for x in drawn)
+        newest = {c.names[-1]: c for c in (in_own_scatter(e, c) for c in best)}
+        short = sorted([*(c for c in short if c.names[-1] not in newest), *newest.values()], key=lambda c: c.cost)
     if not base.names:
         return short
     return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]

@@ -2,6 +2,7 @@
 
     all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again .. while likelier
     from none, and from the best single effect of each of the best few sites; the likeliest of all
+    where that leaves torques: also from the best effect that draws, in S with what it draws, and the best at an exact value
 
 The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
 its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
@@ -21,8 +22,9 @@ from fishmj.effects import Effect
 from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
+from fishmj.gap.search.drawn_effects import drawn_candidates
 from fishmj.gap.search.fit import EffectFitter
-from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.likelihood import Likelihood, draws
 from fishmj.gap.search.stepwise import informative_records
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
@@ -42,6 +44,7 @@ class TorqueFit(NamedTuple):
     loss: float
     near: Likelihood
     row: np.ndarray
+    drawn: bool = False  # what the effects draw counts
 
 
 def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar):
@@ -62,8 +65,33 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
         kept = sorted(found, key=lambda fit: fit.loss)[: limits.kept]
         found = [descend(fit, limits.fits, limits.steps) for fit in kept]
         best = descend(min(found, key=lambda fit: fit.loss), limits.fits, limits.steps, chord=False)
+        least = torques(best.near, best.row)
+        if np.any(least > limits.left * model.torque_tolerance):
+            found = [descend(fit, limits.fits, limits.steps) for fit in _unusual(e, few, best)]
+            best = min([best, *found], key=lambda fit: fit.loss)
+            least = torques(best.near, best.row)
         bar.update(most)
-    return best.near.model, UnexplainedTorque(before, torques(best.near, best.row))
+    return best.near.model, UnexplainedTorque(before, least)
+
+
+def _unusual(e: Likelihood, few: np.ndarray, best: TorqueFit) -> list[TorqueFit]:
+    """Starts with the best effect that draws, and with the best at an exact value: no slope leads there from none.
+
+    Each alone and beside all others. Torques are as stated: with those of a fit that lacks it, what an effect draws is not seen.
+    """
+    model, chosen = e.model, best.row.copy()
+    for x in draws(model):
+        chosen[[model.index(x.name, p.name) for p in x.parameters]] = x.null
+    out = []
+    for row in (model.null, chosen):
+        stated = e.with_record_errors(model.with_errors(model.torque_tolerance, row))
+        fit = stated.subset(few)
+        exact = [x for x in model.active.effects if any(p.fine and not p.shape for p in x.parameters)]
+        tried = fit.screen(fit.at(row), exact, fit.grid_search(fit.at(row), exact))[:1] if exact else []
+        drawn = (c for x in draws(model) for c in drawn_candidates(stated, few, fit.at(row), x))
+        tried += sorted(drawn, key=lambda c: c.cost)[:1]
+        out += [_measured_at(stated, c.row, bool(draws(model, c.names[-1:]))) for c in tried]
+    return sorted(out, key=lambda fit: fit.loss)[: thresholds().torques.kept]
 
 
 def _best_single(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> list[np.ndarray]:
@@ -93,7 +121,7 @@ def descend(fit: TorqueFit, fits: int, steps: int, chord: bool = True) -> Torque
         search = fit.near.subset()
         end = search.refine([search.at(fit.row, names, places)], steps, chord)[0].row
         for share in limits.shares if np.isfinite(fit.loss) else (1.0,):
-            new = _measured_at(fit.near, fit.row + share * (end - fit.row))
+            new = _measured_at(fit.near, fit.row + share * (end - fit.row), fit.drawn)
             if new.loss < fit.loss:
                 break
         else:
@@ -104,23 +132,28 @@ def descend(fit: TorqueFit, fits: int, steps: int, chord: bool = True) -> Torque
     return fit
 
 
-def _measured_at(near: Likelihood, row: np.ndarray) -> TorqueFit:
-    """The likelihood with the torques and the tangents of a row."""
+def _measured_at(near: Likelihood, row: np.ndarray, drawn: bool = False) -> TorqueFit:
+    """The likelihood with the torques and the tangents of a row. drawn: and with what its effects draw."""
     model = near.model
+    near = near.with_scatter(row if drawn else model.null)
     there = near.with_record_errors(model.with_errors(np.maximum(torques(near, row), model.torque_tolerance), row))
-    return TorqueFit(there.subset().loss(row), there, row)
+    there.scatter = near.scatter
+    return TorqueFit(there.subset().loss(row), there, row, drawn)
 
 
 def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     """(J,) N m: most likely deviations of the torques at the joints, for a parameter row."""
     model, joints = e.model, e.model.joints
     residual = e.layout.residuals(model.predict(e.records, row))[0]
+    groups = [model.error_groups(record) for record in e.records]
+    if e.scatter:  # as it is
+        groups = [np.append(mine, np.full(len(own), joints)) for mine, own in zip(groups, e.scatter, strict=True)]
     sample = Sample(
         null=e.factors,
         shared=np.zeros((0, e.layout.size)),
         group=np.zeros(0, int),
         parts=list(e.by_record),
-        groups=[model.error_groups(record) for record in e.records],
+        groups=groups,
         record=e.layout.record,
         variance=e.d**2,
         spread=np.zeros(e.layout.size),
@@ -146,10 +179,11 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     """
     model = e.model
     limits = thresholds().torques
-    before, after = torques(e, model.null), torques(e, row)
+    there = e.with_scatter(row)
+    before, after = torques(e, model.null), torques(there, row)
     # Sizes are those of the description: where the found friction holds a joint, any torque seems larger than it is.
     plain = e.with_record_errors(model.with_errors(model.torque_error, model.null))
-    first, last = torques(plain, model.null), torques(plain, row)
+    first, last = torques(plain, model.null), torques(plain.with_scatter(row), row)
     told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, first, last, strict=True)}}
     verdict = replace(verdict, gates=told)
     allowed = limits.allowed * model.torque_tolerance
