@@ -91,6 +91,8 @@ def test_what_some_motion_tells_apart_stays_a_rival(pendulum, arm):
     assert set(v.effects[0].same) == {"quadratic_friction@j1"} and by_effect(v) == {"air_drag": "CLASS"}
     assert answer(arm, "air_drag", ["quadratic_friction@elbow"]).rivals
     assert answer(pendulum, "air_drag", ["force a|a|"]).rivals  # a force of no effect
+    assert answer(pendulum, "command_latency", ["joint_sensor_delay"]).answer == "NAMED"
+    assert answer(pendulum, "command_latency", ["latency_jitter"]).rivals  # whose mean alone is a latency
 
 
 def test_a_value_that_is_not_believable_is_not_named(pendulum):

@@ -21,6 +21,7 @@ from fishmj.gap.null.whitening import whitening
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import RobotRecord, thinned
 from fishmj.gap.search.fit import bounds
+from fishmj.gap.search.likelihood import draws
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import NamedEffect, PointValue, Verdict
 
@@ -104,7 +105,7 @@ def _instead(
     A parameter that changes no reading of this robot, such as a centre's offset along the axis of its hinge, is left out.
     """
     known = {e.name: e for e in model.active.effects}
-    if rival not in known:  # a force of terms/
+    if rival not in known or draws(model, (effect.name, rival)):  # a force of terms/; one that draws has more than its mean
         return None
     low, high, size = bounds(model)
     without, mine = row.copy(), [model.index(effect.name, p) for p in effect.parameters]
