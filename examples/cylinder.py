@@ -2,9 +2,8 @@
 
     python examples/cylinder.py --diameter 0.02 --re 60 --study --out runs/cylinder
 
-The literature has C_D = 1.33 to 1.35 at Re 100. Cells are larger away from the cylinder (`--near`). `--study` takes three grids
-and prints the observed order and the uncertainty. cylinder_CELLS.png has the vorticity, .csv the forces in SI. Everything is
-synthetic.
+The literature has C_D = 1.33 to 1.35 at Re 100. `--near`: cells double away from the cylinder. `--study`: three grids, the observed
+order and the uncertainty. cylinder_CELLS.png has the vorticity, .csv the forces in SI. Everything is synthetic.
 """
 
 import argparse
@@ -43,9 +42,8 @@ def drag(dx: float) -> float:
     long, wide, inlet = np.multiply(args.box, d)
     scene = Scene(box=(long, wide), dx=dx, nu=nu, stream=u, near=np.multiply(args.near, d), device=args.device)
     scene.add(cylinder(d), at=(inlet, wide / 2), joints=("slide y",), motion=kick)
-    record, last = scene.run(args.times * turn), 0.3 * args.times * turn
-    scene.plot(args.out / f"cylinder_{d / dx:.3g}.png")
-    record.write(args.out / f"cylinder_{d / dx:.3g}.csv")
+    record, last, name = scene.run(args.times * turn), 0.3 * args.times * turn, str(args.out / f"cylinder_{d / dx:.3g}")
+    scene.plot(f"{name}.png"), record.write(f"{name}.csv")
     found, lift = scene.drag_coefficient(last), scene.coefficients()[record.times > record.times[-1] - last, 1]
     try:
         shedding = f"St = {scene.strouhal(args.times * turn / 2):.3f}"

@@ -79,7 +79,7 @@ GYM = [
     (lambda: FishEnv(engine=3), "engine = 3; expected one of"),
     (lambda: FishEnv(render_mode="human"), "render_mode = 'human'"),
     (lambda: FishEnv(task=3), "task int"),
-    (lambda: FishEnv(angle=1.0), "unknown option 'angle'; known: box"),
+    (lambda: FishEnv(angle=1.0), "unknown option 'angle'; known: at_target, box"),
     (lambda: FishVectorEnv(2.5), "num_envs = 2.5"),
     (lambda: FishVectorEnv("2"), "num_envs = '2'"),
     (lambda: FishVectorEnv(2, max_episode_steps=0), "max_episode_steps = 0"),

@@ -164,8 +164,9 @@ def linear(rng, records=8, rows=40, shared=3, own=2, told=None):
     e.model = SimpleNamespace(null=np.zeros(1), predict=lambda records, rows: None)
     e.records, e.runs, e.drawn, e.origin, e.layout = [None] * records, shared, True, e, layout
     e.layout.residuals = lambda predictions: residual[None]
-    e._null_factors, e._launches, e.by_record = factors, np.zeros((0, layout.size)), tuple(0.5 * part for part in parts)
-    e._structural = structural_error.StructuralError(np.zeros((0, layout.size)), e.by_record, np.zeros(layout.size))
+    e._null_factors, e._launches, e.scatter = factors, np.zeros((0, layout.size)), ()
+    alone = tuple(0.5 * part for part in parts)
+    e._structural = structural_error.StructuralError(np.zeros((0, layout.size)), alone, np.zeros(layout.size))
     e.factors, e.d = factors, np.full(layout.size, 0.3)
     e.response = ModelResponse(factors, e.by_record, layout.record, e.d**2, *np.zeros((2, layout.size)))
     return e, told, residual

@@ -7,7 +7,12 @@ from fishmj.gap.report.report_data import ReportData, gather, plain
 from fishmj.gap.report.sections import html
 from fishmj.gap.workflow import Inquiry
 
-__all__ = ["ReportData", "gather", "write"]
+__all__ = ["ReportData", "gather", "page", "write"]
+
+
+def page(inquiry: Inquiry) -> str:
+    """The report as one HTML text without outside references."""
+    return html(gather(inquiry))
 
 
 def write(inquiry: Inquiry, folder: Path) -> list[str]:
