@@ -2,8 +2,8 @@
 
     python examples/cylinder.py --diameter 0.02 --re 60 --study --out runs/cylinder
 
-The literature has C_D = 1.33 to 1.35 at Re 100. `--near`: cells double away from the cylinder. `--study`: three grids, the observed
-order and the uncertainty. cylinder_CELLS.png has the vorticity, .csv the forces in SI. Everything is synthetic.
+The literature has C_D = 1.33 to 1.35 at Re 100. `--near`: cells double away from the cylinder. `--study`: three grids,
+the observed order and the uncertainty. cylinder_CELLS.png has the vorticity, .csv the forces in SI. Everything is synthetic.
 """
 
 import argparse
