@@ -18,3 +18,21 @@ def write_robot_files(doc: str | None, made: Callable[[Path], Iterable[tuple[str
         (args.out / name).parent.mkdir(parents=True, exist_ok=True)
         (args.out / name).write_text(text, encoding="utf-8")
         console.say(f"{args.out / name}")
+
+
+def pendulum(joint: str, mass: float, length: float, own: float, friction: str = "", gear: float = 1.0) -> str:
+    """MJCF of a motor with a point mass [kg] on an arm [m] that hangs along -z at rest.
+
+    own: moment of inertia about the mass, kg m2. friction: attributes of the joint. gear: of the motor.
+    """
+    return f"""<mujoco model="pendulum">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="{joint}" type="hinge" axis="0 -1 0" {friction}/>
+      <inertial pos="0 0 {-length}" mass="{mass}" diaginertia="{own} {own} {own / 2}"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="{joint}" joint="{joint}" gear="{gear:.6g}"/></actuator>
+</mujoco>
+"""

@@ -11,25 +11,14 @@ authors' URDF. OUT/logs has two of the three logs: the torques of pd.csv do not 
 from collections.abc import Iterator
 from pathlib import Path
 
-from studies.robot_files import write_robot_files
+from studies.robot_files import pendulum, write_robot_files
 
 MASS, LENGTH = 0.6755, 0.5  # kg, m
-BARE = f"""<mujoco model="simple_pendulum">
-  <option timestep="0.002" integrator="implicitfast"/>
-  <worldbody>
-    <body name="arm">
-      <joint name="joint" type="hinge" axis="0 -1 0"/>
-      <inertial pos="0 0 {-LENGTH}" mass="{MASS}" diaginertia="0.002 0.002 0.001"/>
-    </body>
-  </worldbody>
-  <actuator><motor name="joint" joint="joint"/></actuator>
-</mujoco>
-"""
 
 
 def files(data: Path) -> Iterator[tuple[str, str]]:
     """The description, and the logs that are searched."""
-    yield "pendulum_bare.xml", BARE
+    yield "pendulum_bare.xml", pendulum("joint", MASS, LENGTH, own=0.002)
     for name in ("ddp.csv", "direct_collocation.csv"):
         yield f"logs/{name}", (data / "measured" / name).read_text(encoding="utf-8")
 

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.gap.laboratory.articulated.bam_servo import friction_budget, servos
-from studies.robot_files import write_robot_files
+from studies.robot_files import pendulum, write_robot_files
 
 MASS, LENGTH, GRAVITY = 0.49, 0.1, 9.81  # kg, m, m/s2
 SERVO = servos()["xl330"]
@@ -36,17 +36,7 @@ TABLE = "t,q_servo,cmd_servo"
 def description(p: Mapping[str, float]) -> str:
     """MJCF of the pendulum with the motor of some constants, without load friction."""
     friction = f'damping="{p["viscous"] + p["k_t"] ** 2 / p["r"]:.6g}" frictionloss="{p["base"]}" armature="{p["armature"]}"'
-    return f"""<mujoco model="xl330">
-  <option timestep="0.002" integrator="implicitfast" gravity="0 0 {-GRAVITY}"/>
-  <worldbody>
-    <body name="arm">
-      <joint name="servo" type="hinge" axis="0 -1 0" {friction}/>
-      <inertial pos="0 0 {-LENGTH}" mass="{MASS}" diaginertia="1e-5 1e-5 1e-5"/>
-    </body>
-  </worldbody>
-  <actuator><motor name="servo" joint="servo" gear="{p["k_t"] / p["r"]:.6g}"/></actuator>
-</mujoco>
-"""
+    return pendulum("servo", MASS, LENGTH, own=1e-5, friction=friction, gear=p["k_t"] / p["r"])
 
 
 def files(data: Path) -> Iterator[tuple[str, str]]:

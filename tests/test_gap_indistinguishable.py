@@ -95,6 +95,10 @@ def test_what_some_motion_tells_apart_stays_a_rival(pendulum, arm):
     assert answer(pendulum, "command_latency", ["latency_jitter"]).rivals  # whose mean alone is a latency
 
 
+def test_an_effect_that_no_drawn_motion_shows_keeps_its_rivals(pendulum):
+    assert answer(pendulum, "air_drag", ["quadratic_friction@j1"], density=0.0).rivals
+
+
 def test_a_value_that_is_not_believable_is_not_named(pendulum):
     model, records = pendulum
     v = answer(pendulum, "air_drag", ["viscous_friction@j1"])

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, field
 
-from fishmj.gap.wording import level, number, pair, percent, quantity, sizes, title
+from fishmj.gap.wording import level, number, pair, percent, sizes, title
 
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
@@ -38,8 +38,7 @@ class NamedEffect:
 
     def equals(self) -> list[str]:
         """The effects of `same` with their values, in words."""
-        size = lambda k, v, n: f"{title(k) + ' ' if n > 1 else ''}{quantity(v.value, v.unit)}"
-        return [f"{title(name)} {', '.join(size(k, v, len(vs)) for k, v in vs.items())}" for name, vs in self.same.items()]
+        return [sizes(name, values) for name, values in self.same.items()]
 
 
 @dataclass(frozen=True)

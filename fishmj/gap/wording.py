@@ -55,7 +55,8 @@ def quantity(value: float, unit: str, low: float | None = None, high: float | No
 
 
 def sizes(name: str, parameters: dict, alone: bool = False) -> str:
-    """Estimated values of an effect in words. parameters: of a `verdict.Named`. alone: without its name."""
+    """Values of an effect in words, with intervals if there are any. parameters: of a `NamedEffect`. alone: without its name."""
     many = len(parameters) > 1
-    values = [f"{title(k) + ' ' if many else ''}{quantity(p.value, p.unit, p.low, p.high)}" for k, p in parameters.items()]
+    text = lambda p: quantity(p.value, p.unit, getattr(p, "low", None), getattr(p, "high", None))
+    values = [f"{title(k) + ' ' if many else ''}{text(p)}" for k, p in parameters.items()]
     return f"{'' if alone else title(name) + ' '}{', '.join(values)}"

@@ -15,7 +15,7 @@ def command(p, t, c):
     return stamps.ravel()[order], c[0] + np.cumsum(jumps[order])
 
 
-def held(p, t, c, first=0.0):
+def held_commands(p, t, c, first=0.0):
     """Every `period`, the latest command; between them the earlier one holds. first: when, as a share of the period."""
     if p.period <= 0.1 * np.median(np.diff(t)):
         return t, c
@@ -25,7 +25,7 @@ def held(p, t, c, first=0.0):
 
 def drawn_commands(rng, p, t, c):
     """One draw for a whole record."""
-    return held(p, t, c, rng.uniform())
+    return held_commands(p, t, c, rng.uniform())
 
 
 EFFECT = Effect(
@@ -42,7 +42,7 @@ EFFECT = Effect(
         parameters=(Parameter(name="period", unit="s", low=0.0, high=0.2, typical=(0.008, 0.04)),),
         command=command,
         scatter=drawn_commands,
-        simulated=held,
+        simulated=held_commands,
         confusions=(Confusion("command_latency", "a hold makes steps: command a fast ramp and read the torque"),),
     ),
 )

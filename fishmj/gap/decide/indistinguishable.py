@@ -112,6 +112,8 @@ def _instead(
     without[mine] = model.nothing[mine]
     target, nothing = readings(np.stack([row, without]))
     change = float(np.linalg.norm(target - nothing))
+    if change == 0.0:  # the drawn motions do not show the effect
+        return None
     begin, nearest, free = without, change, {}
     for p in known[rival].parameters:
         place = model.index(rival, p.name)

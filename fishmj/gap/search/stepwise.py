@@ -324,7 +324,7 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Can
     most = informative_records(base, e.layout, getattr(e.model, "screened_records", None))
     few = e.subset(most)
     one = e.subset(informative_records(base, e.layout, 1))
-    # Of a robot in MJCF, what mean square 1 leaves is nothing for hundreds of rollouts; a fish has few such effects.
+    # The grid costs a robot in MJCF hundreds of rollouts. At a mean square near 1 it finds nothing. A fish has few such effects.
     loud = base.cost > thresholds().stepwise.drawn_from * e.layout.size
     quick = [x for x in effects if all(p.shape for p in x.parameters if p.fine)]
     fine = one.grid_search(on_records(one, base), effects if loud or not hasattr(e.model, "scatter") else quick)

@@ -164,7 +164,7 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     for _ in range(thresholds().torques.updates):
         told = score_variances(sample, u, np.zeros(1))
         ratio = np.sqrt(np.maximum(told.seen[:joints], tiny) / np.maximum(told.expected[:joints], tiny))
-        # Where a joint sticks and the model slides, no torque is large enough: the sums sink into rounding, and u would overflow.
+        # A joint may stick where the model slides. No torque is large enough then: both sums are rounding, and u overflows.
         u[:joints] = np.clip(u[:joints] * np.where(told.expected[:joints] > 0, ratio, 1.0), tiny, 1e6)
     return np.sqrt(u[:joints]) * model.torque_error
 
