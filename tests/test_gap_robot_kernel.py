@@ -106,6 +106,14 @@ def test_rollouts_at_the_end_of_a_range_are_mujocos(robot_of):
     np.testing.assert_allclose(ours, theirs, atol=1e-10)
 
 
+def test_a_rollout_that_diverges_writes_nothing(robot_of, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    model = robot_of(drawn(np.random.default_rng(7), joints=2))
+    begins = np.array([[0.0, 0.0, 0.0, 1e12, -1e12]])
+    model._rolled([model._plain], begins, np.zeros((1, 30, 2)), None, False)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists() and capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -110,15 +110,6 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
 
 def mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
     """Likely mistakes, the best first; empty where the model is close to the logs."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: None)  # what is tried may diverge: not on the terminal, and no MUJOCO_LOG.TXT
-    try:
-        return _mistakes(robot, records)
-    finally:
-        mujoco.set_mju_user_warning(before)
-
-
-def _mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
     few = thinned(list(records), PROBED)
     model = RigidRobot(robot, sizes_of(robot, few), [effects.robot_catalogue()["command_latency"]])
     still, plain = np.maximum(_error(few, None), UNMOVED), _error(few, model)
