@@ -1,6 +1,7 @@
 """`gap find LOGS --model robot.xml`: descriptions, logs, effects and patches of robots in MJCF. All logs are *synthetic*."""
 
 import json
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -22,7 +23,7 @@ from fishmj.gap.records.robot_logs import guess_columns, log_files, read_columns
 from fishmj.gap.records.shooting import robot_record, robot_records, thinned
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.unexplained_torque import with_measured_errors
-from fishmj.gap.workflow import investigate
+from fishmj.gap.workflow import investigate, require_residual_at_floor
 
 pytest.importorskip("numba")
 
@@ -470,6 +471,16 @@ def test_search_names_the_hidden_friction(sticky):
     assert found.low <= 0.06 <= found.high and by_effect(v) == {"coulomb_friction@elbow": "NAMED"}
     before, after = v.gates["torques"]["elbow"]  # the friction, and the noise of an encoder
     assert after < 0.005 and 0.03 < before < 0.07
+
+
+def test_residual_above_the_floor_is_no_name(sticky):
+    """Judged where each record is predicted without its fold: with fits that lack the friction most of the gap is left."""
+    assert require_residual_at_floor(sticky.verdict, sticky).gates["floors"] < 1.25
+    fits = tuple(replace(c, row=sticky.evidence.model.null) for c in sticky.found.fitted.fits)
+    poor = replace(sticky, found=replace(sticky.found, fitted=sticky.found.fitted._replace(fits=fits)))
+    v = require_residual_at_floor(sticky.verdict, poor)
+    assert v.answer == "UNEXPLAINED" and v.gates["floors"] > 1.5 and v.effects == sticky.verdict.effects
+    assert require_residual_at_floor(replace(sticky.verdict, answer="AGREES"), poor).answer == "AGREES"
 
 
 def test_healthy_arm_agrees(folder, arm):

@@ -288,7 +288,7 @@ GATES = {
     "size": 0.1,
     "pinned": False,
 }
-GATES |= {"torques": {"j1": [1.0, 0.5]}}
+GATES |= {"torques": {"j1": [1.0, 0.4]}, "floors": 1.2}
 SEARCHED = {
     "gates": GATES,
     "steps": [{"gain": 300.0, "accepted": True}],
@@ -306,7 +306,8 @@ def test_answers_are_replayed_under_other_thresholds():
     quiet = row(1, "none", "NAMED", {}, SAID, **SEARCHED) | {"gates": GATES | {"adequacy": 1.1, "torques": {"j1": [0.2, 0.1]}}}
     assert again(quiet, shipped._replace(gain=400.0))["answer"] == "AGREES"
     assert again(named, shipped._replace(closure=0.9))["answer"] == "NAMED"  # hardly any rest is left
-    assert again(named, shipped._replace(share=0.2))["answer"] == "UNEXPLAINED"
+    assert again(named, shipped._replace(share=0.1))["answer"] == "UNEXPLAINED"
+    assert again(named, shipped._replace(floors=1.0))["answer"] == "UNEXPLAINED"
     strained = named | {"gates": GATES | {"strain": 50.0}, "answer": "UNEXPLAINED"}
     assert again(strained, shipped._replace(excess=100.0))["answer"] == "NAMED"
     other = named | {"answer": "UNEXPLAINED"}  # by a gate that is not replayed
