@@ -18,6 +18,7 @@ from fishmj.gap.laboratory.articulated.plant_laws import JointLaws
 from fishmj.gap.laboratory.articulated.robot_plan import FAMILIES, carried_inertia, draw_plan, held_torque, mjcf, within_tolerance
 from fishmj.gap.laboratory.articulated.robot_session import draw_session
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.thresholds import thresholds
 
 
 def plan_of(family: str, seed: int = 3):
@@ -296,6 +297,15 @@ SEARCHED = {
     "standing": [],
     "tentative": [],
 }
+
+
+def test_a_servos_own_friction_lies_within_the_catalogue():
+    """A speed beyond its bound is Coulomb friction to the search: the law of every hobby servo was named as that."""
+    speed = next(p for p in effects.robot_catalogue()["stribeck"].robot.parameters if p.name == "speed")
+    known = [law["speed"] for servo in servos().values() for law in servo.laws.values() if "speed" in law]
+    assert len(known) > 12 and all(speed.low < value < speed.high for value in known)
+    usual = thresholds().fit.prior_sd * max(abs(t - speed.null) for t in speed.typical)
+    assert np.median(known) < speed.null + usual < speed.high
 
 
 def test_answers_are_replayed_under_other_thresholds():
