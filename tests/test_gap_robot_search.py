@@ -14,7 +14,7 @@ from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
-from fishmj.gap.search.unexplained_torque import with_measured_errors
+from fishmj.gap.search.unexplained_torque import require_smaller_torques, with_measured_errors
 from fishmj.gap.workflow import investigate, require_residual_at_floor
 
 pytest.importorskip("numba")
@@ -56,6 +56,16 @@ def test_search_names_the_hidden_friction(sticky):
     assert found.low <= 0.06 <= found.high and by_effect(v) == {"coulomb_friction@elbow": "NAMED"}
     before, after = v.gates["torques"]["elbow"]  # the friction, and the noise of an encoder
     assert after < 0.005 and 0.03 < before < 0.07
+
+
+@pytest.mark.parametrize("share, answer", [(1.0, "NAMED"), (0.75, "NAMED"), (0.4, "UNEXPLAINED")])
+def test_friction_that_leaves_torques_is_not_named(sticky, share, answer):
+    """Less friction than was hidden leaves a torque: what explains a part of it may stand in for something else."""
+    e, row = sticky.evidence, sticky.found.best.row.copy()
+    row[e.model.index("coulomb_friction@elbow", "torque")] *= share
+    v = require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels)
+    assert v.answer == answer and v.effects == sticky.verdict.effects, v.gates["torques"]
+    assert ("is left" in v.reason) == (answer == "UNEXPLAINED")
 
 
 def test_residual_above_the_floor_is_no_name(sticky):

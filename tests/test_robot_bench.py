@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.gap.bench import bench_command, robot_bench, robot_cases, robot_rows, robot_thresholds

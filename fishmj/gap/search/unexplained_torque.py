@@ -179,15 +179,13 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     """
     model = e.model
     limits = thresholds().torques
-    there = e.with_scatter(row)
-    before, after = torques(e, model.null), torques(there, row)
     # Sizes are those of the description: where the found friction holds a joint, any torque seems larger than it is.
     plain = e.with_record_errors(model.with_errors(model.torque_error, model.null))
-    first, last = torques(plain, model.null), torques(plain.with_scatter(row), row)
-    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, first, last, strict=True)}}
+    before, after = torques(plain, model.null), torques(plain.with_scatter(row), row)
+    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
     verdict = replace(verdict, gates=told)
     allowed = limits.allowed * model.torque_tolerance
-    left = {n: x for n, x, most in zip(names, last, allowed, strict=True) if x > most}
+    left = {n: x for n, x, most in zip(names, after, allowed, strict=True) if x > most}
     if not left or verdict.answer not in ("AGREES", "NAMED", "CLASS"):
         return verdict
     words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
