@@ -170,7 +170,7 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
 
 
 def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
-    """Veto: an effect at a joint takes off most of the mean square of the torque there that nothing explains, others that of all.
+    """Veto: an effect at a joint halves the mean square of the torque there that nothing explains, others that of all joints.
 
     Else the answer is UNEXPLAINED, for all effects: the others were fitted beside one that stands in for something else. A torque
     within what is allowed is none. What is left beside a name is a warning.
