@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from robot_arm import ARM
 from robot_laws import GEARED, ROTOR, play, write_law_logs
-from test_gap_robot import misfit, named, records_of, search_among, verdict_of
+from test_gap_robot import misfit, named, records_of, verdict_of
+from test_gap_robot_search import search_among
 
 from fishmj.gap.commands.apply_robot import apply_robot
 from fishmj.gap.models import joint_laws

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.gap.bench import bench_command, robot_bench, robot_cases, robot_rows, robot_thresholds
@@ -18,6 +19,7 @@ from fishmj.gap.laboratory.articulated.plant_laws import JointLaws
 from fishmj.gap.laboratory.articulated.robot_plan import FAMILIES, carried_inertia, draw_plan, held_torque, mjcf, within_tolerance
 from fishmj.gap.laboratory.articulated.robot_session import draw_session
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.thresholds import thresholds
 
 
 def plan_of(family: str, seed: int = 3):
@@ -288,7 +290,7 @@ GATES = {
     "size": 0.1,
     "pinned": False,
 }
-GATES |= {"torques": {"j1": [1.0, 0.5]}}
+GATES |= {"torques": {"j1": [1.0, 0.4]}, "floors": 1.2}
 SEARCHED = {
     "gates": GATES,
     "steps": [{"gain": 300.0, "accepted": True}],
@@ -296,6 +298,15 @@ SEARCHED = {
     "standing": [],
     "tentative": [],
 }
+
+
+def test_a_servos_own_friction_lies_within_the_catalogue():
+    """A speed beyond its bound is Coulomb friction to the search: the law of every hobby servo was named as that."""
+    speed = next(p for p in effects.robot_catalogue()["stribeck"].robot.parameters if p.name == "speed")
+    known = [law["speed"] for servo in servos().values() for law in servo.laws.values() if "speed" in law]
+    assert len(known) > 12 and all(speed.low < value < speed.high for value in known)
+    usual = thresholds().fit.prior_sd * max(abs(t - speed.null) for t in speed.typical)
+    assert np.median(known) < speed.null + usual < speed.high
 
 
 def test_answers_are_replayed_under_other_thresholds():
@@ -306,7 +317,8 @@ def test_answers_are_replayed_under_other_thresholds():
     quiet = row(1, "none", "NAMED", {}, SAID, **SEARCHED) | {"gates": GATES | {"adequacy": 1.1, "torques": {"j1": [0.2, 0.1]}}}
     assert again(quiet, shipped._replace(gain=400.0))["answer"] == "AGREES"
     assert again(named, shipped._replace(closure=0.9))["answer"] == "NAMED"  # hardly any rest is left
-    assert again(named, shipped._replace(share=0.2))["answer"] == "UNEXPLAINED"
+    assert again(named, shipped._replace(share=0.1))["answer"] == "UNEXPLAINED"
+    assert again(named, shipped._replace(floors=1.0))["answer"] == "UNEXPLAINED"
     strained = named | {"gates": GATES | {"strain": 50.0}, "answer": "UNEXPLAINED"}
     assert again(strained, shipped._replace(excess=100.0))["answer"] == "NAMED"
     other = named | {"answer": "UNEXPLAINED"}  # by a gate that is not replayed

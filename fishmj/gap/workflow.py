@@ -18,7 +18,7 @@ from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.healthy_swims import HealthySwims
-from fishmj.gap.search.likelihood import Likelihood, likelihood_of
+from fishmj.gap.search.likelihood import Likelihood, draws, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
@@ -208,9 +208,31 @@ def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     return unexplained_torque.require_smaller_torques(verdict, inquiry.evidence, inquiry.found.best.row, model.robot.channels)
 
 
+def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto for a robot in MJCF: the residual of records predicted without their fold comes down to the floor, else UNEXPLAINED.
+
+    One effect of the wrong form, or several wrong ones together, take most of a gap and stop above the floor. It is not asked of
+    effects that draw, or of a command in steps: no prediction has the draws, or the moment of each jump.
+    """
+    model, found, most = inquiry.evidence.model, inquiry.found, thresholds().torques.floors
+    if verdict.answer not in ("NAMED", "CLASS") or not hasattr(model, "torque_tolerance"):
+        return verdict
+    names = found.best.names
+    stepped = any(p.fine and not p.shape for x in model.active.effects if x.name in names for p in x.parameters)
+    if stepped or draws(model, names):
+        return verdict
+    left = found.fitted.over_floor(found.folds)
+    verdict = replace(verdict, gates=verdict.gates | {"floors": left})
+    if left <= most:
+        return verdict
+    what = "they are" if len(names) > 1 else "it is"
+    why = f"the residual of records not seen stops at {level(left)} floors, above {level(most)}; {what} tentative"
+    return replace(verdict, answer="UNEXPLAINED", reason=why)
+
+
 # Row 20 to 22 of the gates on docs/search/gap.md, in its order; what only adds to the verdict stands where it is needed.
 VETOES = (
-    *(challenge_by_free_forces, require_repeatability, propose_experiment, describe_by_terms),
+    *(challenge_by_free_forces, require_repeatability, require_residual_at_floor, propose_experiment, describe_by_terms),
     *(require_smaller_torques, ask_unseen_records),
 )
 

@@ -38,7 +38,7 @@ EFFECT = Effect(
         scale=("torque", ""),
         parameters=(
             Parameter(name="torque", unit="N m", low=0.0, high=1.0, typical=(0.03, 0.2)),
-            Parameter(name="speed", unit="rad/s", null=0.1, low=0.01, high=1.0, typical=(0.05, 0.2), shape=True),
+            Parameter(name="speed", unit="rad/s", null=0.1, low=0.01, high=5.0, typical=(0.05, 2.0), shape=True),
         ),
         law=law,
         confusions=(

@@ -7,6 +7,7 @@ A row keeps what the gates measured, so an answer can be given again without a s
     excess      gain by a larger form error than allowed
     p_best      share of bootstrap draws that the best must win
     allowed     torque that no effect explains, over the stated tolerance;  share: of its mean square that an effect may leave
+    floors      of the residual that may be left
 
 Other gates stay as they were: a row whose recorded answer is not that of the replay under the shipped thresholds keeps it, unless
 a larger `gain` takes it away. An effect that the search stopped before cannot be added.
@@ -31,13 +32,14 @@ class RobotLimits(NamedTuple):
     p_best: float
     allowed: float
     share: float
+    floors: float
 
 
 def shipped() -> RobotLimits:
     """The thresholds of data/calib/gap.toml."""
     gates, own, excess = frozen(), thresholds().torques, thresholds().model_error.excess
     kept = (gates.closure, gates.residual, excess, gates.size, gates.transfer, gates.p_best)
-    return RobotLimits(own.gain, *kept, own.allowed, own.share)
+    return RobotLimits(own.gain, *kept, own.allowed, own.share, own.floors)
 
 
 SHIPPED = shipped()
@@ -50,7 +52,8 @@ GRID = {  # tried values of each threshold, one after the other
     "transfer": (0.5, 0.8, 1.0),
     "p_best": (0.7, 0.8, 0.9, 0.97),
     "allowed": (2.0, 3.0, 5.0, 8.0),
-    "share": (0.2, 0.35, 0.5, 0.7, 0.9),
+    "share": (0.1, 0.2, 0.35, 0.5, 0.7, 0.9),
+    "floors": (1.0, 1.25, 1.5, 2.0, 3.0),
 }
 PASSES = 3
 
@@ -83,16 +86,14 @@ def _again(row: dict, limits: RobotLimits) -> tuple[str, set[str]]:
     if "closure" not in gates:
         return row["answer"], found
     answer = _by_gates(row, limits)
-    if answer == "UNEXPLAINED" or not loud:
+    if answer == "UNEXPLAINED" or gates.get("floors", 0.0) > limits.floors:
+        return "UNEXPLAINED", found
+    if not loud:
         return answer, found
     everywhere = sum(a**2 for _, a in ratio.values()) / max(sum(b**2 for b, _ in ratio.values()), 1e-12)
-    least = {
-        name: ((ratio[site][1] / max(ratio[site][0], 1e-12)) ** 2 if site in loud else 0.0) if site in ratio else everywhere
-        for name in (e["name"] for e in _all(row))
-        for site in (name.partition("@")[2],)
-    }
-    kept = {name for name in least if least[name] <= limits.share and (name in found or least[name] > SHIPPED.share)}
-    return (answer, kept) if kept else ("UNEXPLAINED", found)
+    sites = [name.partition("@")[2] for name in found]
+    left = [((ratio[k][1] / max(ratio[k][0], 1e-12)) ** 2 if k in loud else 0.0) if k in ratio else everywhere for k in sites]
+    return ("UNEXPLAINED" if max(left, default=0.0) > limits.share else answer), found
 
 
 def _torques(row: dict) -> dict[str, tuple[float, float]]:

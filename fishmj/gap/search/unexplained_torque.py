@@ -172,22 +172,20 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
 def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
     """Veto: an effect at a joint halves the mean square of the torque there that nothing explains, others that of all joints.
 
-    Else it is counted in, not named; without another one the answer is UNEXPLAINED. A torque within what is allowed is none. What
-    is left beside a name is a warning.
+    Else the answer is UNEXPLAINED, for all effects: the others were fitted beside one that stands in for something else. A torque
+    within what is allowed is none. What is left beside a name is a warning.
 
     names: of the joints.
     """
     model = e.model
     limits = thresholds().torques
-    there = e.with_scatter(row)
-    before, after = torques(e, model.null), torques(there, row)
     # Sizes are those of the description: where the found friction holds a joint, any torque seems larger than it is.
     plain = e.with_record_errors(model.with_errors(model.torque_error, model.null))
-    first, last = torques(plain, model.null), torques(plain.with_scatter(row), row)
-    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, first, last, strict=True)}}
+    before, after = torques(plain, model.null), torques(plain.with_scatter(row), row)
+    told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
     verdict = replace(verdict, gates=told)
     allowed = limits.allowed * model.torque_tolerance
-    left = {n: x for n, x, most in zip(names, last, allowed, strict=True) if x > most}
+    left = {n: x for n, x, most in zip(names, after, allowed, strict=True) if x > most}
     if not left or verdict.answer not in ("AGREES", "NAMED", "CLASS"):
         return verdict
     words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
@@ -196,11 +194,8 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
     everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
     share = {found.name: shares.get(found.name.partition("@")[2], everywhere) for found in verdict.effects}
-    kept = tuple(found for found in verdict.effects if share[found.name] <= limits.share)
-    rest = f"torques of {words} are left that no effect explains"
-    if not kept:
-        least = percent(min(share.values()))
-        why = f"{least} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
+    most = max(share.values())
+    if most > limits.share:
+        why = f"{percent(most)} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
         return replace(verdict, answer="UNEXPLAINED", reason=why)
-    others = tuple(found for found in verdict.effects if found not in kept)
-    return replace(verdict, effects=kept, tentative=(*verdict.tentative, *others), warnings=(*verdict.warnings, rest))
+    return replace(verdict, warnings=(*verdict.warnings, f"torques of {words} are left that no effect explains"))
