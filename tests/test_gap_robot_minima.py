@@ -73,7 +73,7 @@ def test_torques_stay_finite_where_no_torque_is_large_enough(question, monkeypat
 
 
 def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():
-    at = lambda name, cost: SimpleNamespace(names=("payload@b1", name), cost=cost)
+    at = lambda name, cost: SimpleNamespace(names=("payload@b1", name), newest=(name,), cost=cost)
     lead = thresholds().torques.lead
     ranked = (at("payload@b2", 10.0), at("com_offset@b2", 10.0 + 0.9 * lead), at("body_mass@b2", 10.0 + 1.1 * lead))
     steps = [SimpleNamespace(accepted=True, ranked=ranked), SimpleNamespace(accepted=False, ranked=ranked[::-1])]

@@ -24,7 +24,7 @@ class Sample(NamedTuple):
     """One robot.
 
     null (n, m) F; shared (J, m) f and group (J,) the number of each one's variance; parts (K_l, m_l) a of each record and groups
-    (K_l,); record (m,), -1 without parts; variance (m,) d; spread (m,) R^2; channel (m,) number of each sample's p; residual (m,).
+    (K_l,); record (m,), -1 without parts; variance (m,) d; spread (m,) R^2; channel (m,) number of each one's p; residual (m,).
     """
 
     null: np.ndarray
