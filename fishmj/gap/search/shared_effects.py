@@ -10,6 +10,8 @@ single effect would need two or three for each joint, and each would be searched
 Effects of different joints do not stand in for each other on such a robot (`apart`).
 """
 
+from collections import Counter
+
 import numpy as np
 
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
@@ -21,6 +23,13 @@ AT = "@"  # as of models/rigid_robot.py
 def site_of(name: str) -> str:
     """Site of an effect, "" of the whole robot."""
     return name.partition(AT)[2]
+
+
+def kinds(names: tuple[str, ...]) -> list[str]:
+    """The names, those of one kind at many sites as one: `coulomb_friction@12 joints`."""
+    count = Counter(name.partition(AT)[0] for name in names)
+    many = {kind: f"{kind}{AT}{n} joints" for kind, n in count.items() if n >= thresholds().stepwise.shared_sites}
+    return list(dict.fromkeys(many.get(name.partition(AT)[0], name) for name in names))
 
 
 def shares(model) -> bool:
@@ -35,12 +44,12 @@ def apart(model, one: str, other: str) -> bool:
 
 def of_each_kind(screened: list[Candidate], base: Candidate, gates: Gates) -> list[list[Candidate]]:
     """Candidates of one more effect by kind, of those that gain enough at enough sites; the most gain first."""
-    kinds: dict[str, list[Candidate]] = {}
+    gaining: dict[str, list[Candidate]] = {}
     for c in screened:
         kind, _, site = c.names[-1].partition(AT)
         if site and base.cost - c.cost > gates.gain:
-            kinds.setdefault(kind, []).append(c)
-    many = [found for found in kinds.values() if len(found) >= thresholds().stepwise.shared_sites]
+            gaining.setdefault(kind, []).append(c)
+    many = [found for found in gaining.values() if len(found) >= thresholds().stepwise.shared_sites]
     return sorted(many, key=lambda found: sum(c.cost - base.cost for c in found))
 
 
@@ -61,10 +70,10 @@ def shared_candidates(
 
     few: `base` on the records of screened, which has one more effect in each, best first.
     """
-    kinds = of_each_kind(screened, few, gates)[: gates.finalists] if shares(whole.model) else []
-    if not kinds:
+    many = of_each_kind(screened, few, gates)[: gates.finalists] if shares(whole.model) else []
+    if not many:
         return [], []
-    fitted = whole.refine(whole.refine([joined(whole, base, found) for found in kinds], 2)[: thresholds().stepwise.attempts], 2)
+    fitted = whole.refine(whole.refine([joined(whole, base, found) for found in many], 2)[: thresholds().stepwise.attempts], 2)
     sites = {site_of(name) for c in fitted for name in c.newest}
     alone = [[c for c in screened if site_of(c.names[-1]) == site][: gates.finalists] for site in sorted(sites)]
     return fitted, [c for some in alone for c in some]

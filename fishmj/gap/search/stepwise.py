@@ -31,7 +31,7 @@ from fishmj.gap.records.records import Record
 from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, draws, over_floor, relinearise
-from fishmj.gap.search.shared_effects import apart, least_needed, shared_candidates
+from fishmj.gap.search.shared_effects import apart, kinds, least_needed, shared_candidates
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
@@ -145,7 +145,7 @@ class SelectionStep:
 
     def text(self) -> str:
         """The round in words."""
-        return f"{title('+'.join(self.ranked[0].names))}: {round_text(self.accepted, self.gain, self.over_floor)}"
+        return f"{title('+'.join(kinds(self.ranked[0].names)))}: {round_text(self.accepted, self.gain, self.over_floor)}"
 
 
 @dataclass(frozen=True)
