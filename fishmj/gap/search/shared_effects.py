@@ -18,6 +18,7 @@ from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.thresholds import Gates, thresholds
 
 AT = "@"  # as of models/rigid_robot.py
+LINEAR = 4.0  # of what an effect must gain: what the slopes promise beyond it is not tried
 
 
 def site_of(name: str) -> str:
@@ -79,8 +80,8 @@ def shared_candidates(
     return fitted, [c for some in alone for c in some]
 
 
-def least_needed(search: EffectFitter, c: Candidate) -> list[str]:
-    """Names of the few effects of a large set whose removal would cost least by the slopes at the candidate; all of a small one.
+def least_needed(search: EffectFitter, c: Candidate, gain: float) -> list[str]:
+    """Names of the few effects of a large set whose removal costs least by the slopes, below some `gain`; all of a small set.
 
     Without the parameters B, and the others A fitted anew: |z|^2 grows by theta_B^T (N^-1_BB)^-1 theta_B, N = J J^T.
     """
@@ -95,4 +96,5 @@ def least_needed(search: EffectFitter, c: Candidate) -> list[str]:
     for x in (x for x in search.model.active.effects if x.name in c.names):
         own = [places.index(search.model.index(x.name, p.name)) for p in x.parameters]
         cost[x.name] = float(away[own] @ np.linalg.solve(inverse[np.ix_(own, own)], away[own]))
-    return sorted(c.names, key=cost.__getitem__)[: limits.attempts]
+    doubtful = [name for name in c.names if cost[name] < LINEAR * gain]
+    return sorted(doubtful, key=cost.__getitem__)[: limits.attempts]

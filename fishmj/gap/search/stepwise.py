@@ -383,7 +383,9 @@ def shows(effect, logged: set[str]) -> bool:
 def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, gates: Gates) -> CrossValidatedFit:
     """The set without effects that the others no longer need: one may have stood in for a later one."""
     while len(fitted.best.names) > 1:
-        least = least_needed(fitted.near.subset(), fitted.best)
+        least = least_needed(fitted.near.subset(), fitted.best, gates.gain)
+        if not least:
+            break
         shorter = [without_effect(e, folds, fitted, name) for name in least]
         increase = [loss_increase(fitted, less, folds) for less in shorter]
         first = min(range(len(increase)), key=increase.__getitem__)
