@@ -343,7 +343,7 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> tuple[li
         best = (min(drawn_candidates(e, most, on_records(few, base), x), key=lambda c: c.cost) for x in drawn)
         newest = {c.names[-1]: c for c in (in_own_scatter(e, c) for c in best)}
         short = sorted([*(c for c in short if c.names[-1] not in newest), *newest.values()], key=lambda c: c.cost)
-    if base.names:
+    if base.names and not (shared and shared[0].cost < short[0].cost):
         short = sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
     return sorted([*short, *shared], key=lambda c: c.cost), alone
 
@@ -361,7 +361,7 @@ def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effect
     out = []
     last = short[0]
     for old in (name for name in last.names[:-1] if not apart(whole.model, name, last.names[-1])):
-        free = [x for x in effects if x.name not in last.names]
+        free = [x for x in effects if x.name not in last.names and not apart(whole.model, old, x.name)]
         tried = few.screen(on_records(few, drop_effect(whole, last, old)), free, fine)[: gates.finalists]
         out += whole.refine([on_records(whole, c) for c in tried], 3)
     return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
