@@ -76,7 +76,7 @@ def shared_candidates(
         return [], []
     fitted = whole.refine(whole.refine([joined(whole, base, found) for found in many], 2)[: thresholds().stepwise.attempts], 2)
     sites = {site_of(name) for c in fitted for name in c.newest}
-    alone = [[c for c in screened if site_of(c.names[-1]) == site][: gates.finalists] for site in sorted(sites)]
+    alone = [[c for c in screened if site_of(c.names[-1]) == site][: thresholds().stepwise.attempts] for site in sorted(sites)]
     return fitted, [c for some in alone for c in some]
 
 

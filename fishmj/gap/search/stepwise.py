@@ -337,13 +337,14 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> tuple[li
     screened = few.screen(on_records(few, base), effects, fine)
     shared, alone = shared_candidates(whole, base, on_records(few, base), screened, gates)
     likely = sorted((on_records(whole, c) for c in screened[: 2 * gates.shortlist]), key=lambda c: c.cost)[: gates.shortlist]
-    short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
+    led = bool(shared) and shared[0].cost < likely[0].cost  # by a kind at many joints: no single effect needs its best value
+    short = likely[: gates.shortlist // 2] if led else whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
     if loud:
         drawn = [x for x in draws(e.model) if x in effects]
         best = (min(drawn_candidates(e, most, on_records(few, base), x), key=lambda c: c.cost) for x in drawn)
         newest = {c.names[-1]: c for c in (in_own_scatter(e, c) for c in best)}
         short = sorted([*(c for c in short if c.names[-1] not in newest), *newest.values()], key=lambda c: c.cost)
-    if base.names and not (shared and shared[0].cost < short[0].cost):
+    if base.names and not led:
         short = sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
     return sorted([*short, *shared], key=lambda c: c.cost), alone
 
