@@ -6,7 +6,7 @@ import pytest
 from test_gap_robot import records_of
 
 from fishmj import effects
-from fishmj.gap.commands.find_robot import robot_gates
+from fishmj.gap.commands.find_robot import by_effect, robot_gates, without_stand_in
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
@@ -15,6 +15,7 @@ from fishmj.gap.progress import silent_bar
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.search.shared_effects import apart, kinds, shares
 from fishmj.gap.search.stepwise import forward_select, split
+from fishmj.gap.verdict import NamedEffect, Value, Verdict
 
 pytest.importorskip("numba")
 SOME = ("coulomb_friction", "viscous_friction", "torque_offset", "rotor_inertia", "command_latency")
@@ -87,3 +88,16 @@ def test_robot_of_three_joints_is_searched_joint_by_joint(tmp_path):
     three = tuple(f"coulomb_friction@hip{j}" for j in range(3))
     assert kinds(three) == list(three)
     assert kinds((*three, "rotor_inertia@hip0", "coulomb_friction@hip3")) == ["coulomb_friction@4 joints", "rotor_inertia@hip0"]
+
+
+def test_value_that_is_not_believable_costs_the_names_of_its_own_joint_only():
+    value = {"torque": Value(0.05, "N m", 0.04, 0.06)}
+    effect = lambda name: NamedEffect(name, value, 1.0, 0.9)
+    names = [f"{kind}@hip{j}" for kind in ("coulomb_friction", "rotor_inertia") for j in range(4)] + ["command_latency"]
+    doubt = ("coulomb friction at hip1: the records disagree about its size by more than 30 %",)
+    found = without_stand_in(Verdict("CLASS", effects=tuple(map(effect, names)), warnings=doubt))
+    told = by_effect(found)
+    assert found.answer == "NAMED" and set(told.values()) == {"NAMED"}
+    assert {e.name for e in found.tentative} == {"coulomb_friction@hip1", "rotor_inertia@hip1"} == set(names) - set(told)
+    few = Verdict("CLASS", effects=tuple(map(effect, names[:2])), warnings=doubt)
+    assert without_stand_in(few).answer == "UNEXPLAINED" and set(by_effect(few).values()) == {"CLASS"}

@@ -33,6 +33,11 @@ def kinds(names: tuple[str, ...]) -> list[str]:
     return list(dict.fromkeys(many.get(name.partition(AT)[0], name) for name in names))
 
 
+def at_many_joints(names: list[str]) -> bool:
+    """Returns True if effects are at so many joints that those of one say little of another."""
+    return len({site_of(name) for name in names} - {""}) >= thresholds().stepwise.shared_sites
+
+
 def shares(model) -> bool:
     """Returns True for a robot with so many joints that kinds of effects are candidates."""
     return getattr(model, "joints", 0) >= thresholds().stepwise.shared_sites and hasattr(model, "torque_tolerance")
