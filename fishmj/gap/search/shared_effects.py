@@ -18,7 +18,6 @@ from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.thresholds import Gates, thresholds
 
 AT = "@"  # as of models/rigid_robot.py
-LINEAR = 4.0  # of what an effect must gain: what the slopes promise beyond it is not tried
 
 
 def site_of(name: str) -> str:
@@ -101,5 +100,5 @@ def least_needed(search: EffectFitter, c: Candidate, gain: float) -> list[str]:
     for x in (x for x in search.model.active.effects if x.name in c.names):
         own = [places.index(search.model.index(x.name, p.name)) for p in x.parameters]
         cost[x.name] = float(away[own] @ np.linalg.solve(inverse[np.ix_(own, own)], away[own]))
-    doubtful = [name for name in c.names if cost[name] < LINEAR * gain]
+    doubtful = [name for name in c.names if cost[name] < limits.slopes_spare * gain]
     return sorted(doubtful, key=cost.__getitem__)[: limits.attempts]
