@@ -122,7 +122,7 @@ def test_first_effect_below_the_usual_gain_is_accepted_by_its_joint_gain(plant):
 
 
 def test_the_share_of_an_effect_is_that_of_the_round_that_added_it():
-    step = lambda gain, accepted, *names: SelectionStep((SimpleNamespace(names=names),), None, gain, accepted)
+    step = lambda gain, accepted, *names: SelectionStep((SimpleNamespace(names=names, newest=names[-1:]),), None, gain, accepted)
     steps = (step(900.0, True, "tether"), step(100.0, True, "tether", "swirl"), step(50.0, False, "tether", "swirl", "body_lift"))
     found = Selection(None, None, None, steps, 0.0)
     assert found.gain_share("tether", 0.0) == pytest.approx(0.9)

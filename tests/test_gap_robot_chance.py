@@ -95,7 +95,7 @@ def test_scatter_tells_jitter_from_a_latency(late):
 def test_of_two_effects_that_draw_one_must_lead_by_more(late):
     model, e = late
     lead = {"latency_jitter": 0.0, "packet_loss": 60.0, "command_hold": 160.0, "command_latency": 60.0}
-    ranked = tuple(SimpleNamespace(names=(name,), cost=cost) for name, cost in lead.items())
+    ranked = tuple(SimpleNamespace(names=(name,), newest=(name,), cost=cost) for name, cost in lead.items())
     step = SimpleNamespace(accepted=True, ranked=ranked)
     assert near_in_likelihood(SimpleNamespace(near=e, steps=(step,)), "latency_jitter") == {"packet_loss"}
 

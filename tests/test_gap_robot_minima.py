@@ -14,6 +14,7 @@ from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.null.variances import VarianceScore
+from fishmj.gap.null.whitening import record_whitening
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search import unexplained_torque
 from fishmj.gap.search.fit import bounds
@@ -73,7 +74,7 @@ def test_torques_stay_finite_where_no_torque_is_large_enough(question, monkeypat
 
 
 def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():
-    at = lambda name, cost: SimpleNamespace(names=("payload@b1", name), cost=cost)
+    at = lambda name, cost: SimpleNamespace(names=("payload@b1", name), newest=(name,), cost=cost)
     lead = thresholds().torques.lead
     ranked = (at("payload@b2", 10.0), at("com_offset@b2", 10.0 + 0.9 * lead), at("body_mass@b2", 10.0 + 1.1 * lead))
     steps = [SimpleNamespace(accepted=True, ranked=ranked), SimpleNamespace(accepted=False, ranked=ranked[::-1])]
@@ -82,6 +83,20 @@ def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():
     assert near_in_likelihood(found(robot), "payload@b2") == {"com_offset@b2"}
     assert near_in_likelihood(found(robot), "body_mass@b2") == set()
     assert near_in_likelihood(found(fish), "payload@b2") == set()
+
+
+def test_factors_that_share_no_sample_whiten_as_all_of_them_at_once():
+    """Errors of four segments whose samples are not in a row, then five factors across all of them."""
+    rng, m = np.random.default_rng(0), 60
+    factors = np.concatenate([np.zeros((24, m)), rng.standard_normal((5, m))])
+    for segment in range(4):
+        factors[6 * segment : 6 * segment + 6, segment::4] = rng.standard_normal((6, m // 4))
+    d = rng.uniform(0.5, 2.0, m)
+    found = record_whitening(d, [factors], np.zeros(m, int))
+    assert [u.shape for _, u, _ in found.parts] == [(15, 6)] * 4 + [(60, 5)]
+    white, whole = found(np.eye(m)).T, np.diag(d**2) + factors.T @ factors
+    np.testing.assert_allclose(white @ whole @ white.T, np.eye(m), atol=1e-12)
+    assert found.logdet == pytest.approx(np.linalg.slogdet(whole)[1])
 
 
 def test_controllers_damping_is_no_better_known_than_its_gain(tmp_path):

@@ -191,9 +191,9 @@ def hypotheses_of(found: Selection, verdict: Verdict) -> list[Hypothesis]:
     accepted = [s for s in found.steps if s.accepted]
     sets: list[Candidate] = [found.best] if accepted else [found.steps[0].ranked[0]]
     for rival in verdict.rivals[: LEFT - 1]:
-        rounds = [s for s in accepted if s.ranked[0].names[-1] == rival["instead_of"]] or accepted
-        like = next((c for s in rounds for c in s.ranked if c.names[-1] == rival["name"]), None)
-        other = swap_effect(whole, found.best, rival["instead_of"], like) if like else None
+        rounds = [s for s in accepted if rival["instead_of"] in s.ranked[0].newest] or accepted
+        like = next((c for s in rounds for c in s.ranked if rival["name"] in c.newest), None)
+        other = swap_effect(whole, found.best, rival["instead_of"], rival["name"], like) if like else None
         sets += [other] if other else []
     if len(sets) < 2:
         sets += [c for c in (accepted or found.steps)[-1].ranked if set(c.names) != set(sets[0].names)][: LEFT - 1]

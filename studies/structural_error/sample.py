@@ -156,7 +156,7 @@ def by_stage(e: Likelihood) -> dict[str, float]:
     """Fall of |z|^2 per record by the best effect of each stage, as `decide.support_of` counts it."""
     gates, base, gains = replace(frozen(), shortlist=FEW), e.subset().base(), {}
     for stage in STAGES:
-        short = shortlist(e, base, [x for x in e.model.active.effects if x.stage == stage and is_absent(e.model, x)], gates)
+        short = shortlist(e, base, [x for x in e.model.active.effects if x.stage == stage and is_absent(e.model, x)], gates)[0]
         near, best = relinearise(e, short[0], 1)
         whole = near.subset()
         best = on_records(whole, best)

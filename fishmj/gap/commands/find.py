@@ -61,6 +61,7 @@ def main(argv: list[str]) -> int:
     gap_options.of_mass(add)
     gap_options.of_null(add)
     most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
+    most += "; one kind at many joints is one"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     gap_options.of_columns(add)

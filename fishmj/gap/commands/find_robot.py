@@ -34,9 +34,10 @@ from fishmj.gap.records.robot_logs import (
 )
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
+from fishmj.gap.search.shared_effects import at_many_joints, site_of
 from fishmj.gap.search.unexplained_torque import with_measured_errors
 from fishmj.gap.thresholds import Gates, frozen, thresholds
-from fishmj.gap.verdict import Verdict
+from fishmj.gap.verdict import NamedEffect, Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
 from fishmj.log import Trial, stacked
@@ -187,10 +188,25 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
 
 
 def doubted(verdict: Verdict) -> set[str]:
-    """Effects of an answer with a rival; all of them where one has a value that is not believable: another may stand in, too."""
-    if any(w.startswith(f"{title(e.name)}: ") for e in verdict.effects for w in verdict.warnings):
-        return {e.name for e in verdict.effects}
-    return {e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best}
+    """Effects of an answer with a rival, and those beside one that stands in for something else."""
+    return beside_unbelievable(verdict) | {e.name for e in verdict.effects if rivalled(verdict, e)}
+
+
+def rivalled(verdict: Verdict, effect: NamedEffect) -> bool:
+    """Returns True if another effect may be in the place of one."""
+    return len(verdict.standing(effect)) > 1 or effect.p_best < frozen().p_best
+
+
+def beside_unbelievable(verdict: Verdict) -> set[str]:
+    """Effects of an answer with a value that is not believable, and those for which another may stand in, too.
+
+    All of them; of many joints, those at its own.
+    """
+    names = [e.name for e in verdict.effects]
+    bad = {name for name in names if any(w.startswith(f"{title(name)}: ") for w in verdict.warnings)}
+    if at_many_joints(names):
+        return {name for name in names if any(site_of(b) in ("", site_of(name)) for b in bad)}
+    return set(names) if bad else set()
 
 
 def by_effect(verdict: Verdict) -> dict[str, str]:
@@ -202,9 +218,17 @@ def by_effect(verdict: Verdict) -> dict[str, str]:
 
 
 def without_stand_in(verdict: Verdict) -> Verdict:
-    """The verdict, UNEXPLAINED where no effect has a rival and one has a value that is not believable: no class of one."""
+    """The verdict, UNEXPLAINED where no effect has a rival and one has a value that is not believable: no class of one.
+
+    Of many joints, what is beside no such value keeps its name.
+    """
     if verdict.answer != "CLASS" or verdict.rivals or any(e.p_best < frozen().p_best for e in verdict.effects):
         return verdict
+    doubtful = beside_unbelievable(verdict)
+    if kept := tuple(e for e in verdict.effects if e.name not in doubtful):
+        others = tuple(e for e in verdict.effects if e.name in doubtful)
+        why = "explains records that it has not seen, and nothing else does; where a value is not believable it is tentative"
+        return replace(verdict, answer="NAMED", reason=why, effects=kept, tentative=(*verdict.tentative, *others))
     why = "the best of the catalogue would need a value that is not believable: it stands in for something else; it is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 

@@ -50,6 +50,7 @@ from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import error_without_outliers, misformed
+from fishmj.gap.search.shared_effects import apart, shares, site_of
 from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates, residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, NamedEffect, Value, Verdict
@@ -287,10 +288,10 @@ def near_in_likelihood(found: Selection, name: str) -> set[str]:
     model, limits = found.near.model, thresholds().torques
     if not hasattr(model, "torque_tolerance"):
         return set()
-    rounds = [step.ranked for step in found.steps if step.accepted and step.ranked[0].names[-1] == name]
+    rounds = [step.ranked for step in found.steps if step.accepted and name in step.ranked[0].newest]
     asked = {x.name: limits.gain for x in likelihood.draws(model)} if likelihood.draws(model, (name,)) else {}
-    close = lambda c, best: c.cost - best.cost < asked.get(c.names[-1], limits.lead)
-    return {c.names[-1] for ranked in rounds for c in ranked[1:] if close(c, ranked[0])}
+    close = lambda n, c, best: c.cost - best.cost < asked.get(n, limits.lead) and not apart(model, n, name)
+    return {n for ranked in rounds for c in ranked[1:] for n in c.newest if close(n, c, ranked[0])}
 
 
 def support_of(
@@ -302,7 +303,8 @@ def support_of(
     taken in S with what it draws itself, and log det S counts.
     """
     whole, without = e.subset(), drop_effect(e.subset(), best, name)
-    tried = (swap_effect(whole, best, name, c) for c in ranked if name not in c.names)
+    rivals_of = [(n, c) for c in ranked for n in c.newest if name not in c.names and not apart(whole.model, name, n)]
+    tried = (swap_effect(whole, best, name, n, c) for n, c in rivals_of)
     others = list({frozenset(c.names): c for c in (*tried, *known_twins(whole, best, name)) if c is not None}.values())
     if likelihood.draws(whole.model, {n for c in (best, *others) for n in c.names}):
         fitters = [e.with_scatter(c.row).subset() for c in (best, *others)]
@@ -335,9 +337,8 @@ def known_twins(whole: EffectFitter, best: Candidate, name: str) -> list[Candida
     return whole.screen(drop_effect(whole, best, name), effects) if effects else []
 
 
-def swap_effect(whole: EffectFitter, best: Candidate, name: str, other: Candidate) -> Candidate | None:
-    """`best` with the effect `name` at its null and the newest effect of `other` at its values; None if it is present already."""
-    newest = other.names[-1]
+def swap_effect(whole: EffectFitter, best: Candidate, name: str, newest: str, other: Candidate) -> Candidate | None:
+    """`best` with the effect `name` at its null and one of `other` at its values; None if it is present already."""
     if newest in best.names:
         return None
     effects = {x.name: x for x in whole.model.active.effects}
@@ -371,16 +372,18 @@ def negligible(
     limits = thresholds().secondary
     e = found.near.origin
     gains = gains_beyond(found, gates) if e.calibrated else {n: s.gain for n, s in stand.items()}
-    whole = sum(gains.values())
-    share = {n: gain / whole for n, gain in gains.items()}
+    # Of a robot with many joints, those of its joint, and a joint's share of those of the whole robot.
+    wide = lambda n, o: 1.0 / e.model.joints if shares(e.model) and site_of(n) and not site_of(o) else 1.0
+    wholes = {n: sum(wide(n, o) * gain for o, gain in gains.items() if not apart(e.model, n, o)) for n in gains}
+    share = {n: gain / wholes[n] for n, gain in gains.items()}
     # The gain of an effect when it was added counts, too: beside a later one that can imitate it, its final gain may be small.
-    least = share if e.calibrated else {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
+    least = share if e.calibrated or shares(e.model) else {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
     doubtful = {n for n, s in stand.items() if doubts[n] or may_be_another(n, s, gates)}
     implausible = {n.name for n in effects if smaller_than(e, n, limits.implausible_size)}
     weak = {n.name for n in effects if smaller_than(e, n, limits.weak_size)}
     little = {n for n in least if least[n] < limits.confusable_gain}
     confusable = {n for n in little for other in least if least[other] > least[n] and confused(e, n, other)}
-    slight = {n for n in little if stand[n].gain < max(gates.certain_gain, gates.min_gain_fraction * whole)}
+    slight = {n for n in little if stand[n].gain < max(gates.certain_gain, gates.min_gain_fraction * wholes[n])}
     out = {n for n in least if least[n] < gates.min_gain_fraction}
     out |= {n for n in doubtful if share[n] < limits.doubtful_gain}
     out |= {n for n in implausible if share[n] < limits.implausible_gain}

@@ -24,7 +24,7 @@ class Sample(NamedTuple):
     """One robot.
 
     null (n, m) F; shared (J, m) f and group (J,) the number of each one's variance; parts (K_l, m_l) a of each record and groups
-    (K_l,); record (m,); variance (m,) d; spread (m,) R^2; channel (m,) number of each sample's p; residual (m,).
+    (K_l,); record (m,), -1 without parts; variance (m,) d; spread (m,) R^2; channel (m,) number of each one's p; residual (m,).
     """
 
     null: np.ndarray
@@ -52,7 +52,7 @@ def score_variances(sample: Sample, u: np.ndarray, p: np.ndarray) -> VarianceSco
     """The sums of the formula above at variances u (G,) of the parts and p (C,) of the channels."""
     d = sample.variance + p[sample.channel] * sample.spread
     factors = np.concatenate([sample.null, sample.shared * np.sqrt(u[sample.group])[:, None]])
-    solved, residual, white, logdet = np.empty_like(factors), np.empty_like(d), np.empty_like(d), float(np.sum(np.log(d)))
+    solved, residual, white, logdet = factors / d, sample.residual / d, 1.0 / d, float(np.sum(np.log(d)))
     kept = []  # of each record: its samples, and 1 - diag M^-1, which is u diag(a^T C^-1 a)
     for i, (part, group) in enumerate(zip(sample.parts, sample.groups, strict=True)):
         # C^-1 = 1/d - own^T own, own = M^-1/2 u^1/2 a / d, M = 1 + u^1/2 a d^-1 a^T u^1/2

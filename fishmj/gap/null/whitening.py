@@ -23,6 +23,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import bmat, csr_array
+from scipy.sparse.csgraph import connected_components
 
 from fishmj.effects.sites import SensorReadings
 from fishmj.gap.records.records import ResidualLayout
@@ -30,13 +32,17 @@ from fishmj.gap.records.records import ResidualLayout
 RIDGE = 1e-9  # of the largest eigenvalue
 FLOOR = 0.5  # of the sensors' noise: D never goes below
 SMOOTH = 0.5  # s
+WIDE = 0.5  # share of the samples of a record from which a factor is across them
 
 
 class RecordWhitening(NamedTuple):
-    """C^-1/2 of C = D + A^T A, each row of A in one record alone: y = x / d, in each record z = y - U (1 - g) U^T y."""
+    """C^-1/2 of C = D + A^T A, each row of A in one record alone: y = x / d, in each part of a record z = y - U (1 - g) U^T y.
+
+    parts: samples (m_l,), U (m_l, k), g (k,), in turns: those of rows that share no sample, then of the rows across them.
+    """
 
     d: np.ndarray  # (m,)
-    parts: tuple[tuple[slice, np.ndarray, np.ndarray], ...]  # of records that have such rows: samples, U (m_l, k), g (k,)
+    parts: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Whitens (..., m)."""
@@ -53,12 +59,36 @@ class RecordWhitening(NamedTuple):
 
 def record_whitening(d: np.ndarray, by_record: Sequence[np.ndarray] = (), record: np.ndarray | None = None) -> RecordWhitening:
     """Whitening from D's square root (m,) and factors (k, m_l) of each record. record: (m,) ascending number of each sample's."""
-    parts = []
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for i, factors in enumerate(by_record):
-        where = slice(*np.searchsorted(np.asarray(record), [i, i + 1]).tolist())
-        if len(factors) and where.stop > where.start:
-            parts.append((where, *directions(factors / d[where])))
+        begin, end = np.searchsorted(np.asarray(record), [i, i + 1]).tolist()
+        if not len(factors) or end <= begin:
+            continue
+        scaled, known, own = factors / d[begin:end], len(parts), separate_blocks(factors)
+        for rows, samples in own:
+            inner = scaled[np.ix_(rows, samples)]
+            for where, u, g in parts[known:] if len(samples) == end - begin else ():
+                inner[:, where - begin] -= ((inner[:, where - begin] @ u) * (1.0 - g)) @ u.T
+            parts.append((begin + samples, *directions(inner)))
     return RecordWhitening(d, tuple(parts))
+
+
+def separate_blocks(factors: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(rows, samples) of each block of factors (k, m) that shares no sample with another, then of the rows across all samples.
+
+    Errors of a segment change no other segment, and the cost of a block grows with the cube of its size.
+    """
+    there = factors != 0.0
+    wide = there.mean(1) > WIDE
+    narrow = np.flatnonzero(~wide)
+    blocks = []
+    if len(narrow):
+        graph = csr_array(there[narrow])
+        count, label = connected_components(bmat([[None, graph], [graph.T, None]], format="csr"), directed=False)
+        rows, samples = label[: len(narrow)], label[len(narrow) :]
+        blocks = [(narrow[rows == b], np.flatnonzero(samples == b)) for b in range(count) if np.any(rows == b)]
+    across = [(np.flatnonzero(wide), np.arange(factors.shape[1]))] if wide.any() else []
+    return [(rows, samples) for rows, samples in blocks if len(samples)] + across
 
 
 def directions(scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

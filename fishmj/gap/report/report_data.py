@@ -107,7 +107,7 @@ def rounds(inquiry: Inquiry) -> tuple[RoundFinalists, ...]:
         given = against | ({new: sure[new]} if step.accepted and new in sure else {})
         rows = []
         for i, c in enumerate(step.ranked):
-            name = c.names[-1] if c.names[:-1] == start.names else "+".join(c.names)
+            name = "+".join(c.newest if c.names[: -c.added] == start.names else c.names)
             p = given.get(name, drawn.get(i))  # the verdict polished its rivals: one may have left its bound
             behind = float((c.cost - best.cost) / gained) if gained > 0 else None
             rows.append(ReportRow(name, values(e.model, c, name), behind, p, name in against, c is best))

@@ -24,7 +24,7 @@ class Candidate:
     """One set of effects with its best parameters.
 
     names: effects, in order of acceptance. places: (K,) entries of the parameter row that they own. row: (P,) whole row.
-    cost: |z|^2 over all records and the prior's share; z: (m,).
+    cost: |z|^2 over all records and the prior's share; z: (m,). added: how many of the last names its round added.
     """
 
     names: tuple[str, ...]
@@ -32,6 +32,12 @@ class Candidate:
     row: np.ndarray
     cost: float
     z: np.ndarray
+    added: int = 1
+
+    @property
+    def newest(self) -> tuple[str, ...]:
+        """The effects that its round added."""
+        return self.names[len(self.names) - self.added :] if self.names else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +68,10 @@ class EffectFitter:
         """Cost + log det S of one parameter row, twice the negative log likelihood: comparable between different S."""
         return self.at(row).cost + self.whiten.logdet
 
-    def at(self, row, names: tuple[str, ...] = (), places: tuple[int, ...] = ()) -> Candidate:
+    def at(self, row, names: tuple[str, ...] = (), places: tuple[int, ...] = (), added: int = 1) -> Candidate:
         """Candidate of a parameter row."""
         z = self.z(np.asarray(row)[None])
-        return Candidate(names, places, row, float(self.costs(np.asarray(row)[None], z)[0]), z[0])
+        return Candidate(names, places, row, float(self.costs(np.asarray(row)[None], z)[0]), z[0], added)
 
     def base(self) -> Candidate:
         """Candidate of the present model."""
@@ -171,13 +177,13 @@ class EffectFitter:
         prior = thresholds().fit.prior_sd
         best = list(candidates)
         damping = [1e-2] * len(best)
-        slopes_of: list[np.ndarray] = []
+        found: list[np.ndarray] = []
         for _ in range(thresholds().fit.iterations if iterations is None else iterations):
-            if not (chord and slopes_of):
-                slopes_of = self._slopes(best)
+            if not (chord and found):
+                found = self.slopes_of(best)
             trials: list[np.ndarray] = []
             owner: list[int] = []
-            for i, (c, jac) in enumerate(zip(best, slopes_of, strict=True)):
+            for i, (c, jac) in enumerate(zip(best, found, strict=True)):
                 places = list(c.places)
                 away = (c.row - self.model.null)[places] / size[places]
                 # The prior is in the normal matrix, not only in the cost: a parameter that these records do not determine has
@@ -204,7 +210,7 @@ class EffectFitter:
                     damping[i] = min(1e4, damping[i] * 100)
         return sorted(best, key=lambda c: c.cost)
 
-    def _slopes(self, candidates: list[Candidate]) -> list[np.ndarray]:
+    def slopes_of(self, candidates: list[Candidate]) -> list[np.ndarray]:
         """(K, m) change of z with each parameter of each candidate, per typical size.
 
         Effects have units from rad to N s2/m2, and both the damping and the prior of `refine` need one scale.
@@ -225,7 +231,7 @@ def refine(search: EffectFitter, c: Candidate) -> Candidate:
 
 def on_records(search: EffectFitter, c: Candidate) -> Candidate:
     """The same effects and parameters on another part of the records."""
-    return search.at(c.row, c.names, c.places)
+    return search.at(c.row, c.names, c.places, c.added)
 
 
 def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:

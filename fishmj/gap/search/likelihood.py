@@ -394,7 +394,7 @@ def losses(fitter: EffectFitter, z: np.ndarray) -> np.ndarray:
     whiten, record = fitter.whiten, fitter.layout.record
     out = np.bincount(record, weights=2.0 * np.log(whiten.alone.d)) - 2.0 * np.sum(np.log(whiten.g)) / len(fitter.records)
     for where, _, g in whiten.alone.parts:
-        out[record[where.start]] -= 2.0 * np.sum(np.log(g))
+        out[record[where[0]]] -= 2.0 * np.sum(np.log(g))
     return out + costs(z, fitter.layout)
 
 

@@ -1,6 +1,7 @@
 """Forward stepwise selection of effects, with swaps and backward pruning, on cross-validated likelihood.
 
 screen      the whole catalogue on the few records with the largest excess
+share       one kind of effect at many joints of a robot, as one candidate (shared_effects.py)
 refine      the best of them on all records, and with an earlier choice swapped for another
 compare     the finalists by the likelihood linearised at each of them
 accept      by the first one's gain on records predicted without their fold; a first effect also by its gain on
@@ -30,6 +31,7 @@ from fishmj.gap.records.records import Record
 from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, draws, over_floor, relinearise
+from fishmj.gap.search.shared_effects import apart, kinds, least_needed, shared_candidates
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import round_text
 from fishmj.gap.wording import title
@@ -143,7 +145,7 @@ class SelectionStep:
 
     def text(self) -> str:
         """The round in words."""
-        return f"{title('+'.join(self.ranked[0].names))}: {round_text(self.accepted, self.gain, self.over_floor)}"
+        return f"{title('+'.join(kinds(self.ranked[0].names)))}: {round_text(self.accepted, self.gain, self.over_floor)}"
 
 
 @dataclass(frozen=True)
@@ -168,8 +170,8 @@ class Selection:
 
     def gain_share(self, name: str, otherwise: float) -> float:
         """Share of the rounds' total gain from the round that added an effect; `otherwise` if it came by a swap."""
-        gains = [(s.ranked[0].names[-1], s.gain) for s in self.steps if s.accepted]
-        mine = [gain for newest, gain in gains if newest == name]
+        gains = [(s.ranked[0].newest, s.gain) for s in self.steps if s.accepted]
+        mine = [gain for newest, gain in gains if name in newest]
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
@@ -182,8 +184,9 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
     selected = CrossValidatedFit(e, base, (base,) * len(folds))
     steps: list[SelectionStep] = []
     visited: set[frozenset] = set()
-    # A repeated set ends the search: swaps and pruning could otherwise cycle.
-    while len(selected.best.names) < gates.max_effects and frozenset(selected.best.names) not in visited:
+    # One kind at many joints counts once. A repeated set ends the search: swaps and pruning could otherwise cycle.
+    counted = lambda: len(selected.best.names) - sum(s.ranked[0].added - 1 for s in steps if s.accepted)
+    while counted() < gates.max_effects and frozenset(selected.best.names) not in visited:
         visited.add(frozenset(selected.best.names))
         remaining = [x for x in pool if x.name not in selected.best.names]
         gain_so_far = sum(s.gain for s in steps)
@@ -195,7 +198,7 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
             break
         selected = converge(e, folds, step.fitted.best, step.fitted.fits)
         selected = prune(e, folds, selected, gates)
-        if len(selected.best.names) > 2 and selected.near.form >= thresholds().model_error.form_grid[-1]:
+        if counted() > 2 and selected.near.form >= thresholds().model_error.form_grid[-1]:
             break  # what three effects do not describe to within a half is not in the catalogue
     return Selection(base, selected, folds, tuple(steps), whole.whiten.logdet)
 
@@ -216,13 +219,15 @@ def propose(
     whole = known.near.subset()
     base = on_records(whole, known.best)
     required = required_gain(gates, known, gain_so_far, uncontested=True)
-    short = shortlist(known.near, base, effects, gates)
+    short, alone = shortlist(known.near, base, effects, gates)
     report(0.4)
 
     # An effect without enough gain on the fitted records has even less on others: the costly part is skipped.
     best_in_sample = base.cost - short[0].cost
     beyond = GainOverModelError(known, gates) if known.near.calibrated and known.best.names else None
-    if best_in_sample < limits.screen_fraction * required and not (beyond and beyond.likely(short[: gates.finalists])):
+    if max((base.cost - c.cost) / c.added for c in short) < limits.screen_fraction * required and not (
+        beyond and beyond.likely(short[: gates.finalists])
+    ):
         return SelectionStep(tuple(short[: gates.finalists]), None, 0.0, False)
 
     # |z|^2 compares only candidates with one covariance. Each finalist gets its own, so the likelihood decides among them.
@@ -243,14 +248,14 @@ def propose(
         after, gap = fitted.loss_and_gap(folds)
         tried.append((i, fitted, before - after, gap))
         report(0.7 + 0.3 * len(tried) / limits.attempts)
-        if tried[-1][2] > required:
+        if tried[-1][2] > required_gain(gates, known, gain_so_far, True, best.added):
             break
     else:
         tried = tried[:1]
     first, fitted, gain, gap = tried[-1]
 
     lead = lead_of(first, finalists, loss)
-    asked = required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain)
+    asked = required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain, fitted.best.added)
     accepted = gain > asked
     if not accepted and not known.best.names:
         # A fold alone does not determine this fish's constants, so a small gap that all records share may be lost in each of
@@ -261,6 +266,7 @@ def propose(
     if not accepted and beyond:
         accepted = beyond.gain(fitted, folds) > beyond.required
     ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
+    ranked += [replace(c, cost=c.cost + whole.whiten.logdet) for c in alone if c.newest[0] not in fitted.best.names]
     if not accepted:
         return SelectionStep(tuple(ranked), fitted, gain, False, asked=asked)
     near, moved = known.near, fitted.over_floor(folds)
@@ -268,15 +274,15 @@ def propose(
     return SelectionStep(tuple(ranked), fitted, gain, True, (gap_before, gap), (as_it_is, moved), asked)
 
 
-def required_gain(gates: Gates, known: CrossValidatedFit, gain_so_far: float, uncontested: bool) -> float:
-    """Required gain of a round. uncontested: no other candidate comes near its best."""
+def required_gain(gates: Gates, known: CrossValidatedFit, gain_so_far: float, uncontested: bool, added: int = 1) -> float:
+    """Required gain of a round. uncontested: no other candidate comes near its best. added: effects that it adds."""
     if not known.best.names:
-        return gates.gain
+        return added * gates.gain
     # A wrong formula leaves a residual in proportion to its gain, which looks like a further effect: hence a share of the
     # gain so far.
     share = gates.uncontested_discount if uncontested else 1.0
     by_samples = gates.gain + share * gates.min_gain_per_sample * known.near.layout.size
-    return max(by_samples, gates.min_gain_fraction * gain_so_far)
+    return max(added * by_samples, gates.min_gain_fraction * gain_so_far)
 
 
 class GainOverModelError:
@@ -318,8 +324,8 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
 
 
 # ------------------------------------------------------------------------------------------------------------------ candidates
-def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Candidate]:
-    """The best candidates on all records, fitted; best first."""
+def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> tuple[list[Candidate], list[Candidate]]:
+    """The best candidates on all records, fitted, best first; and the best of each joint alone, where a kind at many is one."""
     whole = e.subset()
     most = informative_records(base, e.layout, getattr(e.model, "screened_records", None))
     few = e.subset(most)
@@ -328,17 +334,19 @@ def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> list[Can
     loud = base.cost > thresholds().stepwise.drawn_from * e.layout.size
     quick = [x for x in effects if all(p.shape for p in x.parameters if p.fine)]
     fine = one.grid_search(on_records(one, base), effects if loud or not hasattr(e.model, "scatter") else quick)
-    likely = few.screen(on_records(few, base), effects, fine)[: 2 * gates.shortlist]
-    likely = sorted((on_records(whole, c) for c in likely), key=lambda c: c.cost)[: gates.shortlist]
-    short = whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
+    screened = few.screen(on_records(few, base), effects, fine)
+    shared, alone = shared_candidates(whole, base, on_records(few, base), screened, gates)
+    likely = sorted((on_records(whole, c) for c in screened[: 2 * gates.shortlist]), key=lambda c: c.cost)[: gates.shortlist]
+    led = bool(shared) and shared[0].cost < likely[0].cost  # by a kind at many joints: no single effect needs its best value
+    short = likely[: gates.shortlist // 2] if led else whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
     if loud:
         drawn = [x for x in draws(e.model) if x in effects]
         best = (min(drawn_candidates(e, most, on_records(few, base), x), key=lambda c: c.cost) for x in drawn)
         newest = {c.names[-1]: c for c in (in_own_scatter(e, c) for c in best)}
         short = sorted([*(c for c in short if c.names[-1] not in newest), *newest.values()], key=lambda c: c.cost)
-    if not base.names:
-        return short
-    return sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
+    if base.names and not led:
+        short = sorted([*short, *swaps(whole, few, short, effects, gates, fine)], key=lambda c: c.cost)[: gates.shortlist]
+    return sorted([*short, *shared], key=lambda c: c.cost), alone
 
 
 def informative_records(c: Candidate, layout, most: int | None = None) -> np.ndarray:
@@ -353,8 +361,8 @@ def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effect
     """The best new sets with an earlier effect replaced by another: the earlier choice may have stood in for a pair."""
     out = []
     last = short[0]
-    for old in last.names[:-1]:
-        free = [x for x in effects if x.name not in last.names]
+    for old in (name for name in last.names[:-1] if not apart(whole.model, name, last.names[-1])):
+        free = [x for x in effects if x.name not in last.names and not apart(whole.model, old, x.name)]
         tried = few.screen(on_records(few, drop_effect(whole, last, old)), free, fine)[: gates.finalists]
         out += whole.refine([on_records(whole, c) for c in tried], 3)
     return [c for c in out if set(c.names) not in [set(s.names) for s in short]]
@@ -376,12 +384,15 @@ def shows(effect, logged: set[str]) -> bool:
 def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, gates: Gates) -> CrossValidatedFit:
     """The set without effects that the others no longer need: one may have stood in for a later one."""
     while len(fitted.best.names) > 1:
-        shorter = [without_effect(e, folds, fitted, name) for name in fitted.best.names]
-        increase = [loss_increase(fitted, less, folds) for less in shorter]
-        least = min(range(len(increase)), key=increase.__getitem__)
-        if increase[least] > gates.gain:
+        least = least_needed(fitted.near.subset(), fitted.best, gates.gain)
+        if not least:
             break
-        fitted = shorter[least]
+        shorter = [without_effect(e, folds, fitted, name) for name in least]
+        increase = [loss_increase(fitted, less, folds) for less in shorter]
+        first = min(range(len(increase)), key=increase.__getitem__)
+        if increase[first] > gates.gain:
+            break
+        fitted = shorter[first]
     return fitted
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from fishmj.effects import Effect
 from fishmj.gap.null.variances import Sample, score_variances
+from fishmj.gap.null.whitening import separate_blocks
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search.drawn_effects import drawn_candidates
@@ -145,16 +146,24 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     """(J,) N m: most likely deviations of the torques at the joints, for a parameter row."""
     model, joints = e.model, e.model.joints
     residual = e.layout.residuals(model.predict(e.records, row))[0]
-    groups = [model.error_groups(record) for record in e.records]
-    if e.scatter:  # as it is
-        groups = [np.append(mine, np.full(len(own), joints)) for mine, own in zip(groups, e.scatter, strict=True)]
+    null, parts, groups, block = [e.factors], [], [], np.full(e.layout.size, -1)
+    for i, record in enumerate(e.records):
+        mine, own = np.flatnonzero(e.layout.record == i), model.error_groups(record)
+        errors = e.by_record[i][: len(own)]
+        for rows, samples in separate_blocks(errors):  # those of a segment are a block
+            block[mine[samples]] = len(parts)
+            parts.append(errors[np.ix_(rows, samples)])
+            groups.append(own[rows])
+        if e.scatter:  # as it is
+            null.append(np.zeros((len(e.scatter[i]), e.layout.size)))
+            null[-1][:, mine] = e.scatter[i]
     sample = Sample(
-        null=e.factors,
+        null=np.concatenate(null),
         shared=np.zeros((0, e.layout.size)),
         group=np.zeros(0, int),
-        parts=list(e.by_record),
+        parts=parts,
         groups=groups,
-        record=e.layout.record,
+        record=block,
         variance=e.d**2,
         spread=np.zeros(e.layout.size),
         channel=np.zeros(e.layout.size, int),

@@ -1,0 +1,104 @@
+"""One kind of effect at many joints of a robot in MJCF at once, as one candidate of a round.
+
+A robot of twelve joints has three or four kinds of drive, so what is missing at one joint is missing at most of them. Rounds of a
+single effect would need two or three for each joint, and each would be searched beside large gaps of the other joints.
+
+    kinds    effects of the catalogue; from `shared_sites` joints on at which one gains what any effect must, it is a candidate
+    values   each joint has its own, fitted together with those of all others
+    gain     what so many effects must gain; `prune` then takes out each that the others do not need
+
+Effects of different joints do not stand in for each other on such a robot (`apart`).
+"""
+
+from collections import Counter
+
+import numpy as np
+
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
+from fishmj.gap.thresholds import Gates, thresholds
+
+AT = "@"  # as of models/rigid_robot.py
+
+
+def site_of(name: str) -> str:
+    """Site of an effect, "" of the whole robot."""
+    return name.partition(AT)[2]
+
+
+def kinds(names: tuple[str, ...]) -> list[str]:
+    """The names, those of one kind at many sites as one: `coulomb_friction@12 joints`."""
+    count = Counter(name.partition(AT)[0] for name in names)
+    many = {kind: f"{kind}{AT}{n} joints" for kind, n in count.items() if n >= thresholds().stepwise.shared_sites}
+    return list(dict.fromkeys(many.get(name.partition(AT)[0], name) for name in names))
+
+
+def at_many_joints(names: list[str]) -> bool:
+    """Returns True if effects are at so many joints that those of one say little of another."""
+    return len({site_of(name) for name in names} - {""}) >= thresholds().stepwise.shared_sites
+
+
+def shares(model) -> bool:
+    """Returns True for a robot with so many joints that kinds of effects are candidates."""
+    return getattr(model, "joints", 0) >= thresholds().stepwise.shared_sites and hasattr(model, "torque_tolerance")
+
+
+def apart(model, one: str, other: str) -> bool:
+    """Returns True if two effects are at different sites of a robot with many joints."""
+    return shares(model) and bool(site_of(one)) and bool(site_of(other)) and site_of(one) != site_of(other)
+
+
+def of_each_kind(screened: list[Candidate], base: Candidate, gates: Gates) -> list[list[Candidate]]:
+    """Candidates of one more effect by kind, of those that gain enough at enough sites; the most gain first."""
+    gaining: dict[str, list[Candidate]] = {}
+    for c in screened:
+        kind, _, site = c.names[-1].partition(AT)
+        if site and base.cost - c.cost > gates.gain:
+            gaining.setdefault(kind, []).append(c)
+    many = [found for found in gaining.values() if len(found) >= thresholds().stepwise.shared_sites]
+    return sorted(many, key=lambda found: sum(c.cost - base.cost for c in found))
+
+
+def joined(search: EffectFitter, base: Candidate, found: list[Candidate]) -> Candidate:
+    """`base` with the newest effect of each of some candidates, at its values there."""
+    row, count = base.row.copy(), len(base.places)
+    for c in found:
+        row[list(c.places[count:])] = c.row[list(c.places[count:])]
+    names = tuple(c.names[-1] for c in found)
+    places = tuple(p for c in found for p in c.places[count:])
+    return search.at(row, (*base.names, *names), (*base.places, *places), len(names))
+
+
+def shared_candidates(
+    whole: EffectFitter, base: Candidate, few: Candidate, screened: list[Candidate], gates: Gates
+) -> tuple[list[Candidate], list[Candidate]]:
+    """(the best kinds, each at all its sites, fitted together; the best effects of each of those sites, alone).
+
+    few: `base` on the records of screened, which has one more effect in each, best first.
+    """
+    many = of_each_kind(screened, few, gates)[: gates.finalists] if shares(whole.model) else []
+    if not many:
+        return [], []
+    fitted = whole.refine(whole.refine([joined(whole, base, found) for found in many], 2)[: thresholds().stepwise.attempts], 2)
+    sites = {site_of(name) for c in fitted for name in c.newest}
+    alone = [[c for c in screened if site_of(c.names[-1]) == site][: thresholds().stepwise.attempts] for site in sorted(sites)]
+    return fitted, [c for some in alone for c in some]
+
+
+def least_needed(search: EffectFitter, c: Candidate, gain: float) -> list[str]:
+    """Names of the few effects of a large set whose removal costs least by the slopes, below some `gain`; all of a small set.
+
+    Without the parameters B, and the others A fitted anew: |z|^2 grows by theta_B^T (N^-1_BB)^-1 theta_B, N = J J^T.
+    """
+    limits = thresholds().stepwise
+    if not shares(search.model) or len(c.names) <= limits.shared_sites:
+        return list(c.names)
+    (jac,), places = search.slopes_of([c]), list(c.places)
+    size = bounds(search.model)[2][places]
+    inverse = np.linalg.inv(jac @ jac.T + np.eye(len(places)) / thresholds().fit.prior_sd ** 2)
+    away = (c.row - search.model.null)[places] / size
+    cost = {}
+    for x in (x for x in search.model.active.effects if x.name in c.names):
+        own = [places.index(search.model.index(x.name, p.name)) for p in x.parameters]
+        cost[x.name] = float(away[own] @ np.linalg.solve(inverse[np.ix_(own, own)], away[own]))
+    doubtful = [name for name in c.names if cost[name] < limits.slopes_spare * gain]
+    return sorted(doubtful, key=cost.__getitem__)[: limits.attempts]

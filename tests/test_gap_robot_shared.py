@@ -1,0 +1,103 @@
+"""One kind of effect at many joints of a robot as one candidate of a round. Logs are *synthetic*."""
+
+import mujoco
+import numpy as np
+import pytest
+from test_gap_robot import records_of
+
+from fishmj import effects
+from fishmj.gap.commands.find_robot import by_effect, robot_gates, without_stand_in
+from fishmj.gap.models.rigid_robot import RigidRobot
+from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.models.robot_sizes import sizes_of
+from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.progress import silent_bar
+from fishmj.gap.search.likelihood import likelihood_of
+from fishmj.gap.search.shared_effects import apart, kinds, shares
+from fishmj.gap.search.stepwise import forward_select, split
+from fishmj.gap.verdict import NamedEffect, Value, Verdict
+
+pytest.importorskip("numba")
+SOME = ("coulomb_friction", "viscous_friction", "torque_offset", "rotor_inertia", "command_latency")
+HIDDEN = (0.03, 0.06, 0.045, 0.0, 0.08)  # N m of dry friction
+
+
+def legs(count: int, friction=None) -> str:
+    """`count` hinged legs on a fixed base, each with a servo."""
+    rub = friction or [0.0] * count
+    one = (
+        '<body name="leg{0}" pos="{0} 0 0"><joint name="hip{0}" axis="0 1 0" damping="0.02" frictionloss="{1}"/>'
+        '<inertial pos="0 0 -0.15" mass="0.4" diaginertia="0.003 0.003 0.0003"/></body>'
+    )
+    servo = '<position name="hip{0}" joint="hip{0}" kp="4" kv="0.1"/>'
+    bodies = "".join(one.format(i, f) for i, f in enumerate(rub))
+    return (
+        '<mujoco model="legs"><option timestep="0.002" integrator="implicitfast"/>'
+        f"<worldbody>{bodies}</worldbody><actuator>{''.join(servo.format(i) for i in range(count))}</actuator></mujoco>"
+    )
+
+
+def write_legs(folder, friction, logs: int = 3, seconds: float = 2.6) -> None:
+    """Logs of the legs with dry friction, as CSV, 250 Hz."""
+    folder.mkdir()
+    count = len(friction)
+    for k in range(logs):
+        m = mujoco.MjModel.from_xml_string(legs(count, friction))
+        d, rng = mujoco.MjData(m), np.random.default_rng(k)
+        m.opt.timestep = 0.0002
+        t = 0.002 * np.arange(round(seconds / 0.002))
+        rates, phases = rng.uniform(0.3, 2.2, (2, count, 3)), rng.uniform(0, 6.28, (2, count, 3))[0]
+        asked = 0.25 * np.sum(np.sin(2 * np.pi * rates[0][..., None] * t + phases[..., None]), 1).T
+        q = np.empty_like(asked)
+        for i in range(len(t)):
+            q[i], d.ctrl[:] = d.qpos, asked[i]
+            mujoco.mj_step(m, d, 10)
+        q += 2e-4 * rng.standard_normal(q.shape)
+        names = [f"{what}_hip{j}" for what in ("cmd", "pos") for j in range(count)]
+        rows = (",".join(f"{x:.6f}" for x in (t[i], *asked[i], *q[i])) for i in range(0, len(t), 2))
+        (folder / f"log{k}.csv").write_text("\n".join([",".join(["t", *names]), *rows]) + "\n")
+
+
+@pytest.mark.slow
+def test_friction_of_many_joints_comes_in_one_round_with_a_value_for_each(tmp_path):
+    (tmp_path / "legs.xml").write_text(legs(len(HIDDEN)))
+    write_legs(tmp_path / "logs", HIDDEN)
+    robot = read_robot(tmp_path / "legs.xml")
+    records, null = records_of(robot, tmp_path / "logs"), RobotNull(16)
+    model = RigidRobot(robot, sizes_of(robot, records), [effects.robot_catalogue()[name] for name in SOME])
+    said: list[str] = []
+    with silent_bar(5, "search", "rounds") as bar:
+        found = forward_select(likelihood_of(model, records, null), robot_gates(), split(records), said.append, bar)
+    first = found.steps[0].ranked[0]
+    assert first.added == 4 and said[0].startswith("coulomb friction at 4 joints: gain")
+    rubs = {name for name in found.best.names if name.startswith("coulomb_friction")}
+    assert rubs == {f"coulomb_friction@hip{j}" for j, size in enumerate(HIDDEN) if size}
+    for j, size in enumerate(HIDDEN):
+        place = model.index(f"coulomb_friction@hip{j}", "torque")
+        assert found.best.row[place] == pytest.approx(size, abs=0.1 * max(HIDDEN))
+    assert apart(model, "coulomb_friction@hip0", "rotor_inertia@hip1")
+    assert not apart(model, "coulomb_friction@hip0", "command_latency")
+
+
+def test_robot_of_three_joints_is_searched_joint_by_joint(tmp_path):
+    (tmp_path / "legs.xml").write_text(legs(3))
+    robot = read_robot(tmp_path / "legs.xml")
+    write_legs(tmp_path / "logs", HIDDEN[:3], logs=1)
+    model = RigidRobot(robot, sizes_of(robot, records_of(robot, tmp_path / "logs")), [])
+    assert not shares(model) and not apart(model, "coulomb_friction@hip0", "coulomb_friction@hip1")
+    three = tuple(f"coulomb_friction@hip{j}" for j in range(3))
+    assert kinds(three) == list(three)
+    assert kinds((*three, "rotor_inertia@hip0", "coulomb_friction@hip3")) == ["coulomb_friction@4 joints", "rotor_inertia@hip0"]
+
+
+def test_value_that_is_not_believable_costs_the_names_of_its_own_joint_only():
+    value = {"torque": Value(0.05, "N m", 0.04, 0.06)}
+    effect = lambda name: NamedEffect(name, value, 1.0, 0.9)
+    names = [f"{kind}@hip{j}" for kind in ("coulomb_friction", "rotor_inertia") for j in range(4)] + ["command_latency"]
+    doubt = ("coulomb friction at hip1: the records disagree about its size by more than 30 %",)
+    found = without_stand_in(Verdict("CLASS", effects=tuple(map(effect, names)), warnings=doubt))
+    told = by_effect(found)
+    assert found.answer == "NAMED" and set(told.values()) == {"NAMED"}
+    assert {e.name for e in found.tentative} == {"coulomb_friction@hip1", "rotor_inertia@hip1"} == set(names) - set(told)
+    few = Verdict("CLASS", effects=tuple(map(effect, names[:2])), warnings=doubt)
+    assert without_stand_in(few).answer == "UNEXPLAINED" and set(by_effect(few).values()) == {"CLASS"}
