@@ -33,11 +33,11 @@ pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)
 
 
-def test_fault_8_unstable_oracle_is_refused_with_a_stable_setup():
+def test_fault_8_unstable_oracle_is_refused_with_a_stable_setup(capsys):
     domain = preset("paper")
     with pytest.raises(OracleUnstable, match=r"Mach 0.35 at 1 m/s .* dt = 0.003333 s") as error:
         stability.check(domain, speed=1.0)
-    assert error.value.limit == "mach" and {line.what for line in error.value.figures} >= {"tau", "cells", "memory"}
+    assert error.value.limit == "mach"
     stability.check(domain.changed(dx=0.02, dt=0.02 / 6), speed=1.0)
     with pytest.raises(OracleUnstable, match="tau = 0.50003"):
         stability.check(domain, speed=0.3, subgrid="none")
@@ -45,7 +45,10 @@ def test_fault_8_unstable_oracle_is_refused_with_a_stable_setup():
         stability.check(domain, speed=0.3, spacing=0.05)
     with pytest.raises(OracleUnstable, match="2.0 cells from a face"):
         stability.check(domain, speed=0.3, clearance=2.0)
-    assert stability.check(domain, speed=0.3) == [] and "Mach 0.17" in stability.check(domain, speed=0.5)[0]
+    capsys.readouterr()
+    for speed in (0.3, 0.5, 0.5):
+        stability.check(domain, speed=speed)
+    assert capsys.readouterr().err == "fishmj: paper: Mach 0.17 at 0.5 m/s: compressibility errors of 3 %\n"
 
 
 @pytest.mark.parametrize(("along", "rest", "limit"), [(np.nan, 0.0, "lost"), (0.45, 0.0, "speed"), (0.0, 0.4, "density")])
@@ -80,7 +83,7 @@ def test_water_that_blows_up_stops_whoever_steps_it_from_python(alone):
             water.run(200)
         for _ in range(200):
             body.step(np.ones(3), np.zeros(3))
-    assert error.value.step == 50 or not alone
+    assert "at step 50," in str(error.value) or not alone
 
 
 def test_water_and_bodies_above_the_mach_limit_are_refused():

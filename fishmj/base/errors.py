@@ -101,9 +101,9 @@ class InjectionError(FishmjError, RuntimeError):
 class OracleUnstable(FishmjError, ArithmeticError):
     """The flow solver cannot run with these settings, or became unstable.
 
-    Carries the violated limit, the step, and the figures.
+    Carries the violated limit.
     """
 
-    def __init__(self, message: str, *, limit: str = "", step: int = 0, figures=None):
+    def __init__(self, message: str, *, limit: str = ""):
         super().__init__(message)
-        self.limit, self.step, self.figures = limit, step, figures
+        self.limit = limit

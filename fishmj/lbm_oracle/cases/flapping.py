@@ -18,7 +18,6 @@ records differ in the time of this: only the rms of the lift is gated.
 
 from collections.abc import Callable
 from math import pi
-from typing import Any
 
 import numpy as np
 
@@ -102,14 +101,8 @@ def ellipse(cells: int) -> BodyShape:
     """An ellipse of `cells` cells along x, full of water."""
     volume = pi / 4 * THICKNESS * cells**2
     inertia = np.eye(3) * volume * (1 + THICKNESS**2) * cells**2 / 16
-    options: dict[str, Any] = {
-        "size": cells,
-        "area": cells,
-        "volume": volume,
-        "inertia": inertia,
-        "flat": True,
-    }
-    return BodyShape(name="ellipse", markers=lambda dx: ellipse_markers(cells), **options)
+    make = lambda dx: ellipse_markers(cells)
+    return BodyShape(name="ellipse", markers=make, size=cells, area=cells, volume=volume, inertia=inertia, flat=True)
 
 
 def stroke(phase):

@@ -19,6 +19,7 @@ from dataclasses import replace
 from math import cos, pi, radians, sin
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
 from fishmj.lbm_oracle.cases import below, register, reported
@@ -119,19 +120,21 @@ def load(
         for _ in range(steps):
             held.step(fixed, value)
             edge(held)
-        record.append(_planar(held, TICK))
-    x, y, yaw = np.array(record[settle:]).T
-    ahead, left = cos(heading) * x + sin(heading) * y, cos(heading) * y - sin(heading) * x
-    drag, lateral, moment = average(ahead), average(left), average(yaw)
+        record.append(held.take_wrench(TICK)[1])
+    drag, lateral, moment = (average(column) for column in planar_load(held.body.data, heading, np.array(record[settle:])).T)
     return Load(drag.mean, lateral.mean, moment.mean, float(np.hypot(drag.sem, lateral.sem)))
 
 
-def _planar(held, seconds: float) -> tuple[float, float, float]:
-    """F_x, F_y in the world and M_z about the reference point over the last `seconds`."""
-    _, whole = held.take_wrench(seconds)
-    arm = held.body.data.xpos[1:, :2] - held.body.data.qpos[:2]
-    fx, fy = whole[:, 0], whole[:, 1]
-    return fx.sum(), fy.sum(), (whole[:, 5] + arm[:, 0] * fy - arm[:, 1] * fx).sum()
+def planar_load(data: mujoco.MjData, yaw: float, wrench: np.ndarray) -> np.ndarray:
+    """Forces ahead and to the left, N, and moment about the reference point, N m, (T, 3), of a held fish at heading `yaw` rad.
+
+    wrench: (T, L, 6) N and N m of its links, world frame.
+    """
+    arm = data.xpos[1:, :2] - data.qpos[:2]  # (L, 2)
+    fx, fy = wrench[:, :, 0], wrench[:, :, 1]
+    turn = (wrench[:, :, 5] + arm[:, 0] * fy - arm[:, 1] * fx).sum(1)
+    fx, fy = fx.sum(1), fy.sum(1)
+    return np.stack([cos(yaw) * fx + sin(yaw) * fy, cos(yaw) * fy - sin(yaw) * fx, turn], -1)
 
 
 def relative_difference(one: Load, other: Load) -> float:

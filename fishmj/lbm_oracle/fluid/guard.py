@@ -212,7 +212,7 @@ class StabilityMonitor:
             "mass": abs(mean) > MEAN_DRHO,
         }
         if limit := next((name for name, found_so in broken.items() if found_so), ""):
-            raise OracleUnstable(_limit_message(limit, fluid, step, found, speed, mean), limit=limit, step=step, figures=found)
+            raise OracleUnstable(_limit_message(limit, fluid, step, found, speed, mean), limit=limit)
         self.fastest = max(self.fastest, speed)
         return found
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.errors import ConfigError
-from fishmj.lbm_oracle.cases.maps import average
+from fishmj.lbm_oracle.cases.maps import average, planar_load
 from fishmj.lbm_oracle.run.finished_rows import OK
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, never_stop, side_by_side
@@ -67,14 +67,8 @@ def loads(run: Run, first: int = 0) -> np.ndarray:
     """
     if len(run.rows) <= first:
         return np.zeros((0, 3))
-    x, y, yaw = run.pose[:3]
-    arm = run.coupled.body.data.xpos[1:, :2] - (x, y)  # (L, 2)
     wrench = np.array([row[-1] for row in run.rows[first:]])  # (T, L, 6)
-    fx, fy = wrench[:, :, 0], wrench[:, :, 1]
-    turn = (wrench[:, :, 5] + arm[:, 0] * fy - arm[:, 1] * fx).sum(1)
-    fx, fy = fx.sum(1), fy.sum(1)
-    ahead, left = np.cos(yaw) * fx + np.sin(yaw) * fy, np.cos(yaw) * fy - np.sin(yaw) * fx
-    return np.stack([-ahead, -left, turn], -1)
+    return planar_load(run.coupled.body.data, run.pose[2], wrench) * [-1, -1, 1]
 
 
 def row_of(point: Point, run: Run, settle: int) -> dict:

@@ -9,11 +9,9 @@ velocity_joint.png, velocity_aoa.png       all points of a map side by side, on 
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from fishmj.lbm_oracle.force_maps.force_points import Point
-from fishmj.lbm_oracle.output import slice_plots, vtk
-from fishmj.lbm_oracle.output.record_fields import slice_of
+from fishmj.lbm_oracle.output import slice_plots
+from fishmj.lbm_oracle.output.record_fields import slice_of, write_volume
 from fishmj.lbm_oracle.output.slices import read_slice, write_slice
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf.skin import skin
@@ -33,19 +31,8 @@ def keep(run: Run, out: Path, point: Point, *, z: float | None = None, whole: bo
     slice_plots.panels([("", one)], path.with_suffix(".png"), title, TOP * point.speed)
     slice_plots.SlicePicture().write(path.with_name(f"{path.stem}_vorticity.png"), one, f"{title}, ")
     if whole:
-        write_volume(run, path)
+        write_volume(run, path.with_suffix(".vti"), path.with_suffix(".vtp"), skin(run.robot, smooth=True))
     write_slice(path, one)
-
-
-def write_volume(run: Run, path: Path) -> tuple[Path, Path]:
-    """Box and fish beside `path`, with its name."""
-    coupled = run.coupled
-    lattice = coupled.fluid.lattice
-    with coupled.scope():
-        velocity = coupled.fluid.velocity()
-    box = vtk.write_box(path.with_suffix(".vti"), velocity, lattice.dx, lattice.to_si(coupled.fluid.origin_lu), run.time)
-    q, height = np.concatenate([run.pose[:3], run.angles()]), float(coupled.body.data.xpos[1, 2])
-    return box, vtk.write_fish(path.with_suffix(".vtp"), skin(run.robot, smooth=True), q, height, run.time)
 
 
 def panels(out: Path, points: Sequence[Point]) -> list[Path]:

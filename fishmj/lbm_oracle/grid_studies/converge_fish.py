@@ -32,9 +32,9 @@ from fishmj.lbm_oracle.force_maps.forcemap import stage
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
-from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows
+from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, robot_entry, study_options, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -123,14 +123,14 @@ def force_when_held(what: str, domain: Domain, plan: AveragingTimes, options: di
 
 def on_device(
     waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: AveragingTimes, edge: Sharpness, robot: str
-) -> Iterator[tuple[Key, ConvergenceResult, float]]:
-    """Runs one after another on one device (`spread`): key, result and wall time in s of each."""
+) -> Iterator[tuple[Key, dict]]:
+    """Runs one after another on one device (`spread`): key and row of each."""
     while waiting:
         key, start = waiting.popleft(), time.perf_counter()
         grid = box(domain, key)
         options = {"robot": robot, "slip": key.slip, "device": device, "sharpness": edge}
         found = cruise(grid, beats, options) if key.what == "cruise" else force_when_held(key.what, grid, plan, options)
-        yield key, found, time.perf_counter() - start
+        yield key, found._asdict() | {"wall_s": round(time.perf_counter() - start, 1)}
 
 
 def biases(rows: Iterable[dict]) -> list[dict]:
@@ -169,8 +169,8 @@ def main(argv: list[str]) -> int:
     book = FinishedRows(Path(args.out) / "converge.csv", COLUMNS, 4, setup, "converge fish")
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
-    waters = [(box(args.domain, key), cruise_s if key.what == "cruise" else held_s) for key in left]
-    runs = [(level, water) for domain, water in waters for level in domain.levels]
+    seconds = lambda key: cruise_s if key.what == "cruise" else held_s
+    runs = [(level, seconds(key)) for key in left for level in box(args.domain, key).levels]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     devices = devices_of(args.device)
@@ -178,10 +178,7 @@ def main(argv: list[str]) -> int:
     if robot_entry(robot):
         console.say(f"{robot.name}: yaw is taken at {BENT:g} deg, where that of the shipped fish is greatest")
     work = partial(on_device, domain=args.domain, beats=args.beats, plan=plan, edge=edge, robot=args.robot)
-    with console.Progress(len(left), "converge", every=1e9 if args.json else None) as bar:
-        for number, (key, found, wall) in enumerate(spread(work, left, devices)):
-            book.add(key, found._asdict() | {"wall_s": round(wall, 1)})
-            bar.update(number + 1)
+    keep_rows(book, lambda go_on: spread(work, left, devices, go_on), sum(map(seconds, left)), seconds, "converge", args.json)
     rows = [book.rows[key] for key in keys]
     table, lost = biases(rows), [row for row in rows if row["status"] != OK]
     console.say(console.table(rows, COLUMNS), "", console.table(table))
@@ -202,9 +199,7 @@ def _parser() -> console.Parser:
     add("--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help=grids)
     parts = "time steps, as parts of the paper's Courant number"
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
-    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
-    add("--slips", type=console.number(0, 1), **several, metavar="S", help=f"{slip}; default {' '.join(f'{s:g}' for s in SLIPS)}")
-    boundary_option(add)
+    study_options(add, SLIPS)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
@@ -212,7 +207,5 @@ def _parser() -> console.Parser:
     add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
     seconds = "averaged over; by default 6 m of water flow past"
     add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
     add("--out", type=console.out_folder, default="runs/converge", metavar="FOLDER", help="CSV; continues what is there")
     return p

@@ -35,7 +35,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, study_slips
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, study_options, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
 from fishmj.mjcf import load_robot
 
@@ -209,19 +209,14 @@ def _parser() -> console.Parser:
     about = "Slip ratio of a real fish's hull on one grid, by four of its swims; four more judge."
     p = console.parser("lbm_oracle real_fish", about)
     add = p.add_argument
-    several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--domain", choices=EVERY, default="window_coarse_refined", help="box of water; laptop is a preview")
     add("--robot", type=console.text, help="shipped name or TOML file with two joints; by default the fish that was filmed")
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
-    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
-    add("--slips", type=console.number(0, 1), **several, metavar="S", help=f"{slip}; default {' '.join(f'{s:g}' for s in SLIPS)}")
-    boundary_option(add)
+    study_options(add, SLIPS)
     add("--beats", type=console.number(0, 1000, above=True), default=BEATS, help="of each swim; the last two count")
     add("--which", choices=("all", "setting", "judging"), default="all", help="those that set the slip ratio, or the others")
     add("--swims", type=console.whole(1, 8), default=8, metavar="N", help="only the N fastest of them")
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
     add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side on each device; 12 keep a GPU busy; default 1")
     out = "real_fish.csv; continues what is there"
     add("--out", type=console.out_folder, default="runs/real_fish", metavar="FOLDER", help=out)

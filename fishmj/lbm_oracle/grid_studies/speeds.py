@@ -8,7 +8,7 @@ python -m fishmj.lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.9
 
 Still water, from rest, servo-driven: every frequency with every amplitude and lag (the paper's gait: 30 deg, lag 60 deg); the
 last two beats count. `aside_deg` is the direction of the path from the first heading. Each finished swim is a row of
-`speeds.json`. The same command does the missing swims; another set-up in the same folder is refused. With `--robot` another
+`speeds.csv`. The same command does the missing swims; another set-up in the same folder is refused. With `--robot` another
 fish swims these gaits, with its own number of joints.
 """
 
@@ -19,26 +19,27 @@ from math import radians
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.figures import canvas, save, style
-from fishmj.base.store import read_json, write_json
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.output.slice_plots import COLOURS, STYLE
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
-from fishmj.lbm_oracle.run.finished_rows import keep_rows
+from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, robot_entry, study_slips
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, robot_entry, study_options, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
 from fishmj.lbm_oracle.run.swim import figures
 from fishmj.mjcf import load_robot
 
 FREQUENCIES, SLIPS = (0.5, 1.0, 1.5, 2.0), (0.0, 0.95, 0.98, 0.99, 0.995, 1.0)
 KEYS = ("frequency", "amplitude_deg", "lag_deg", "slip", "depth")
-OF_THE_PAPER = {"amplitude_deg": 30.0, "lag_deg": 60.0}  # gait of rows that do not state one
+AMPLITUDE, LAG = 30.0, 60.0  # deg, of the paper's gait
 COLUMNS = (*KEYS, "speed_m_s", "aside_deg", "yaw_amplitude_deg", "power_W", "refined_ticks", "status")
 
 
@@ -57,9 +58,9 @@ def start_swim(key: tuple, box: Domain, beats: float, device: str, robot: str, s
     run = SwimSetup(domain=box.changed(depth=depth), robot=robot, slip=slip, device=device, sharpness=sharpness).run()
 
     def row(run: Run) -> tuple[tuple, dict]:
-        status = " ".join(run.stopped.split()) or "ok"
+        status = " ".join(run.stopped.split()) or OK
         if not run.rows:
-            return key, dict.fromkeys(COLUMNS[len(KEYS) : -1]) | {"status": status}
+            return key, dict.fromkeys(COLUMNS[len(KEYS) : -1], np.nan) | {"status": status}
         found = figures(run, frequency)
         kept = {name: found[name] for name in ("speed_m_s", "yaw_amplitude_deg", "power_W", "refined_ticks")}
         return key, kept | {"aside_deg": found["course_deg"], "status": status}
@@ -70,29 +71,6 @@ def start_swim(key: tuple, box: Domain, beats: float, device: str, robot: str, s
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int, **setup) -> Iterator[tuple[tuple, dict]]:
     """Yields key and row of swims, `tanks` at a time on one device (`spread`)."""
     return side_by_side(waiting, partial(start_swim, device=device, **setup), tanks=tanks, go_on=go_on)
-
-
-class SpeedTable:
-    """Finished swims in `folder/speeds.json`, beside the set-up that they share.
-
-    Raises ConfigError: the folder holds another set-up.
-    """
-
-    def __init__(self, folder: Path, setup: dict):
-        self.path, self.setup, self.rows = folder / "speeds.json", setup, {}
-        if not self.path.is_file():
-            return
-        kept = read_json(self.path)
-        if kept["setup"] != setup:
-            raise ConfigError(f"{self.path} holds swims of {kept['setup']}, this is {setup}. Take another --out")
-        rows = [OF_THE_PAPER | row for row in kept["rows"]]
-        self.rows = {tuple(row[key] for key in KEYS): row for row in rows}
-
-    def add(self, key: tuple, found: dict) -> None:
-        """Keeps a swim; it is on disk before this returns."""
-        self.rows[key] = dict(zip(KEYS, key, strict=True)) | found
-        rows = [self.rows[k] for k in sorted(self.rows)]
-        write_json(self.path, {"source": "fishmj.lbm_oracle speeds", "origin": "synthetic", "setup": self.setup, "rows": rows})
 
 
 def swim_keys(
@@ -121,7 +99,7 @@ def main(argv: list[str]) -> int:
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = swim_keys(args.frequencies, args.amplitudes, args.lags, args.slips, depths)
     setup = {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats} | boundary_entry(edge) | robot_entry(robot)
-    book = SpeedTable(Path(args.out), setup)
+    book = FinishedRows(Path(args.out) / "speeds.csv", COLUMNS, len(KEYS), setup, "speeds")
     left = [key for key in keys if key not in book.rows]
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, *_, depth in left]
     less = "take a coarser --preset, fewer --beats, --frequencies or --slips; --preset laptop is a preview"
@@ -137,10 +115,11 @@ def main(argv: list[str]) -> int:
     rows = [book.rows[key] for key in keys]
     title = f"{''.join(f'{name}, ' for name in robot_entry(robot).values())}{box.name}, {100 * box.dx:g} cm"
     picture = draw_speeds(rows, book.path.with_name("speeds.png"), title)
-    fastest = [max((row for row in rows if row["slip"] == slip), key=lambda row: row["speed_m_s"] or 0.0) for slip in args.slips]
+    speed = lambda row: np.nan_to_num(row["speed_m_s"])
+    fastest = [max((row for row in rows if row["slip"] == slip), key=speed) for slip in args.slips]
     console.say(console.table(rows, COLUMNS), "fastest gait at each slip ratio", console.table(fastest, COLUMNS))
     console.say(f"wrote {book.path} and {picture}")
-    lost = [row for row in rows if row["status"] != "ok"]
+    lost = [row for row in rows if row["status"] != OK]
     if args.json:
         console.emit_json({"rows": rows, "fastest": fastest, "stopped": len(lost), "out": book.path})
     return console.FAILED_CHECK if lost else console.OK
@@ -155,18 +134,14 @@ def _parser() -> console.Parser:
     beat = console.number(0.05, 10)
     add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
     angle = console.number(0, 90, above=True)
-    add("--amplitudes", type=angle, **several, default=[OF_THE_PAPER["amplitude_deg"]], metavar="DEG", help="of all joints")
+    add("--amplitudes", type=angle, **several, default=[AMPLITUDE], metavar="DEG", help="of all joints")
     lag = console.number(-180, 180)
-    add("--lags", type=lag, **several, default=[OF_THE_PAPER["lag_deg"]], metavar="DEG", help="from joint to joint")
-    slip = "quoted at the paper's grid: 1 slides, 0 sticks"
-    add("--slips", type=console.number(0, 1), **several, metavar="S", help=f"{slip}; default {' '.join(f'{s:g}' for s in SLIPS)}")
+    add("--lags", type=lag, **several, default=[LAG], metavar="DEG", help="from joint to joint")
     add("--depths", type=console.number(0.05, 10), **several, metavar="M", help="of the water; the domain's own by default")
-    boundary_option(add)
+    study_options(add, SLIPS)
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")
     add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side on each device; 12 or more keep a GPU busy")
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
-    out = "speeds.json and speeds.png; continues what is there"
+    out = "speeds.csv and speeds.png; continues what is there"
     add("--out", type=console.out_folder, default="runs/speeds", metavar="FOLDER", help=out)
     return p
 
@@ -184,7 +159,7 @@ def draw_speeds(rows: Sequence[dict], path: Path, title: str) -> Path:
         here = [row for row in rows if (row["frequency"], row["depth"]) == line]
         label = f"{line[0]:g} Hz" + (f", {line[1]:g} m deep" if len({depth for _, depth in lines}) > 1 else "")
         places = sorted({slips.index(row["slip"]) for row in here})
-        speeds = [max(row["speed_m_s"] or 0.0 for row in here if row["slip"] == slips[place]) for place in places]
+        speeds = [max(np.nan_to_num(row["speed_m_s"]) for row in here if row["slip"] == slips[place]) for place in places]
         axis.plot(places, speeds, marker="o", ms=4, lw=1.4, color=COLOURS[i % len(COLOURS)], label=label)
     axis.set_xticks(range(len(slips)), [f"{slip:g}" for slip in slips])
     axis.set(xlabel="slip ratio, at the paper's grid", ylabel="speed [m/s]", ylim=(0, None))

@@ -68,12 +68,9 @@ def cylinder(diameter: float) -> BodyShape:
     volume = pi * d**2 / 4
     inertia = np.diag([1.0, 1.0, 2.0]) * volume * d**2 / 16
     turn = np.linspace(0, 2 * pi, 64, endpoint=False)
-    make, surface = (
-        lambda dx: circle_markers(d / 2, dx, hydro_offset=INSET),
-        _ring(np.stack([np.cos(turn), np.sin(turn)], -1) * d / 2),
-    )
-    options: dict[str, Any] = {"surface": surface, "volume": volume, "inertia": inertia, "flat": True}
-    return BodyShape(name="cylinder", markers=make, size=d, area=d, **options)
+    make = lambda dx: circle_markers(d / 2, dx, hydro_offset=INSET)
+    surface = _ring(np.stack([np.cos(turn), np.sin(turn)], -1) * d / 2)
+    return BodyShape(name="cylinder", markers=make, size=d, area=d, surface=surface, volume=volume, inertia=inertia, flat=True)
 
 
 def section(points: Any) -> BodyShape:

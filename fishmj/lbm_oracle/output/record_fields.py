@@ -27,7 +27,7 @@ from fishmj.lbm_oracle.output.slice_plots import SlicePicture, outline
 from fishmj.lbm_oracle.output.slices import INDEX, SCHEMA, STRONG, Slice, write_slice
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 from fishmj.lbm_oracle.run.run import Run
-from fishmj.mjcf.skin import skin
+from fishmj.mjcf.skin import Skin, skin
 
 wp.set_module_options(OPTIONS)
 
@@ -117,6 +117,17 @@ def slice_of(run, z: float | None = None) -> Slice:
     return Slice(run.time, float(at), x, y, plane[..., 0], plane[..., 1], plane[..., 2], outline(run))
 
 
+def write_volume(run: Run, box: Path, fish: Path, hull: Skin) -> None:
+    """Writes the whole water of a run, and the fish in it with the skin `hull`, for ParaView."""
+    coupled = run.coupled
+    lattice = coupled.fluid.lattice
+    with coupled.scope():
+        velocity = coupled.fluid.velocity()
+    vtk.write_box(box, velocity, lattice.dx, lattice.to_si(coupled.fluid.origin_lu), run.time)
+    q = np.concatenate([run.pose[:3], run.angles()])
+    vtk.write_fish(fish, hull, q, float(coupled.body.data.xpos[1, 2]), run.time)
+
+
 class FieldRecorder:
     """Writes the fields of one run into a folder.
 
@@ -168,21 +179,12 @@ class FieldRecorder:
         write_slice(self.folder / "slices" / f"{name}.npz", one)
         self.picture.write(self.folder / "vorticity" / f"{name}.png", one)
         if self.whole:
-            self._volume(run, name)
+            box, fish = f"volume/{name}.vti", f"fish/{name}.vtp"
+            write_volume(run, self.folder / box, self.folder / fish, self.skin)
+            self.series.append((run.time, [box, fish]))
+            vtk.write_series(self.folder / SERIES, self.series)
         self.frames += 1
         return True
-
-    def _volume(self, run: Run, name: str) -> None:
-        coupled = run.coupled
-        with coupled.scope():
-            velocity = coupled.fluid.velocity()
-        low = coupled.fluid.lattice.to_si(coupled.fluid.origin_lu)
-        box, fish = f"volume/{name}.vti", f"fish/{name}.vtp"
-        vtk.write_box(self.folder / box, velocity, coupled.fluid.lattice.dx, low, run.time)
-        q = np.concatenate([run.pose[:3], run.angles()])
-        vtk.write_fish(self.folder / fish, self.skin, q, float(coupled.body.data.xpos[1, 2]), run.time)
-        self.series.append((run.time, [box, fish]))
-        vtk.write_series(self.folder / SERIES, self.series)
 
     def close(self) -> None:
         """Closes the figure."""

@@ -4,7 +4,7 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError
@@ -13,13 +13,6 @@ from fishmj.lbm_oracle.run.spread import GoOn
 
 TEXTS = ("what", "status")  # columns that hold no number
 OK = "ok"  # status of a run that did all its ticks
-
-
-class RowKeeper(Protocol):
-    """Table that keeps rows by their key."""
-
-    def add(self, key: Any, found: dict) -> None:
-        """Keeps a row; it is on disk before this returns."""
 
 
 class FinishedRows:
@@ -67,7 +60,7 @@ class FinishedRows:
 
 
 def keep_rows(
-    book: RowKeeper,
+    book: FinishedRows,
     begin: Callable[[GoOn], Iterator[tuple]],
     total: float,
     seconds: Callable[[Any], float],

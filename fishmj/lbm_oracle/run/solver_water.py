@@ -12,6 +12,7 @@ kind of treatment is a new field with a default, which `immersed` passes on.
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
+from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.immersed.markers import Sharpness
@@ -52,6 +53,15 @@ def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> N
     )
     words += " friction from a law of the wall in place of --slip. Default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
+
+
+def study_options(add: Callable[..., Any], slips: Iterable[float]) -> None:
+    """Adds --slips, by default `slips`, --boundary and --device to the command of a study."""
+    slip = f"quoted at the paper's grid: 1 slides, 0 sticks; default {' '.join(f'{s:g}' for s in slips)}"
+    add("--slips", type=console.number(0, 1), nargs="+", action=console.Distinct, metavar="S", help=slip)
+    boundary_option(add)
+    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
+    add("--device", type=console.devices, default="auto", help=place)
 
 
 def study_slips(who: str, slips: list[float] | None, boundary: str, usual: Iterable[float]) -> list[float]:
