@@ -40,7 +40,7 @@ WATERS = {  # of the CPU: name -> heading
 CURVE_OF = {
     "paper": "ppo-planar-1.jsonl",
     "paper-sac": "sac-1.jsonl",
-    "station-family": "ppo-family-2.jsonl",
+    "station-family": "ppo-family-1.jsonl",
     "station-sb3": "sb3-ppo-0.jsonl",
 }
 CONDITION = "flow 0.1/0.2/0.3 m/s, default turbulence 5 %, water lbm"  # of SOLVER
@@ -48,7 +48,7 @@ WEIGHTS = {  # digest of the arrays that the flow solver judged: a policy traine
     "paper": "30be15fc7745b3de5c71abceefa1cb316fc0ca8e2c0e5ea40991ed788cf97703",
     "pilot": "f73d422ad9ab2e6acafd3b1eb236210eb6972799244d7354069dc12ea52383b6",
     "station": "9bd216c1096445e789053ce72d72575e4437baaa49182d8d06c0b7e6ca766ee2",
-    "station-family": "310a4b8b42522a0457b465832d4d4c06ba378a2b51a48e94867433e7f6b264cc",
+    "station-family": "d590e8a531edca2ccfd5380278cbda7dc07463b435a818ea7c82a686bed94372",
     "station-sac": "4a3c88ca054e9ba543e943c149920281f4a7a2696e00773758caf76bd497f871",
 }
 
