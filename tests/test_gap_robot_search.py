@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from robot_arm import ARM, edited, write_logs
 
@@ -14,6 +15,8 @@ from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
+from fishmj.gap.search.fit import limiting
+from fishmj.gap.search.stepwise import CrossValidatedFit, converge, exchange_limiting_forms, propose
 from fishmj.gap.search.unexplained_torque import require_smaller_torques, with_measured_errors
 from fishmj.gap.workflow import investigate, require_residual_at_floor
 
@@ -66,6 +69,24 @@ def test_friction_that_leaves_torques_is_not_named(sticky, share, answer):
     v = require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels)
     assert v.answer == answer and v.effects == sticky.verdict.effects, v.gates["torques"]
     assert ("is left" in v.reason) == (answer == "UNEXPLAINED")
+
+
+def test_a_limiting_form_gives_way_to_the_law_that_it_imitates(folder, arm):
+    """Stribeck friction that fades at its highest speed is nearly Coulomb friction: the search has it for want of the other."""
+    logs = write_logs(folder / "dry", edited(elbow_joint='frictionloss="0.06"'), logs=2, seconds=1.6)
+    inquiry, said = search_among(arm, logs, "coulomb_friction", "stribeck"), []
+    e, folds, base = inquiry.evidence, inquiry.found.folds, inquiry.found.base
+    pool = [x for x in e.model.active.effects if "@" in x.name]
+    nothing = CrossValidatedFit(e, base, (base,) * len(folds))
+    step = propose(nothing, folds, [x for x in pool if x.name == "stribeck@elbow"], robot_gates(), 0.0)
+    imitated = converge(e, folds, step.fitted.best, step.fitted.fits)
+    fades = np.array(imitated.best.row)
+    fades[e.model.index("stribeck@elbow", "speed")] = 5.0  # rad/s, its bound
+    imitated = imitated._replace(best=e.subset().at(fades, imitated.best.names, imitated.best.places))
+    assert limiting(e.model, imitated.best) == ["stribeck@elbow"]
+    found = exchange_limiting_forms(e, folds, imitated, pool, robot_gates(), said.append)
+    assert found.best.names == ("coulomb_friction@elbow",) and "instead" in said[0]
+    assert exchange_limiting_forms(e, folds, found, pool, robot_gates(), said.append) is found and len(said) == 1
 
 
 def test_residual_above_the_floor_is_no_name(sticky):

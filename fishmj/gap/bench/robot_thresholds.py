@@ -91,9 +91,13 @@ def _again(row: dict, limits: RobotLimits) -> tuple[str, set[str]]:
     if not loud:
         return answer, found
     everywhere = sum(a**2 for _, a in ratio.values()) / max(sum(b**2 for b, _ in ratio.values()), 1e-12)
-    sites = [name.partition("@")[2] for name in found]
-    left = [((ratio[k][1] / max(ratio[k][0], 1e-12)) ** 2 if k in loud else 0.0) if k in ratio else everywhere for k in sites]
-    return ("UNEXPLAINED" if max(left, default=0.0) > limits.share else answer), found
+    least = {
+        name: ((ratio[site][1] / max(ratio[site][0], 1e-12)) ** 2 if site in loud else 0.0) if site in ratio else everywhere
+        for name in (e["name"] for e in _all(row))
+        for site in (name.partition("@")[2],)
+    }
+    kept = {name for name in least if least[name] <= limits.share and (name in found or least[name] > SHIPPED.share)}
+    return (answer, kept) if kept else ("UNEXPLAINED", found)
 
 
 def _torques(row: dict) -> dict[str, tuple[float, float]]:

@@ -47,7 +47,7 @@ from fishmj.effects.ambiguity import containing, together
 from fishmj.effects.effect import Parameter
 from fishmj.gap.decide.intervals import drawn_places, estimate
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, limiting, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import error_without_outliers, misformed
 from fishmj.gap.search.shared_effects import apart, shares, site_of
@@ -317,7 +317,7 @@ def support_of(
         each = [likelihood.costs(c.z, whole.layout) for c in polished]
         none, ours_before, order = without.cost, best.cost, list(range(len(polished)))
     ours = next(i for i in order if polished[i].names == best.names)
-    free = [i for i in order if polished[i].names != best.names and not on_bound(whole.model, polished[i])]
+    free = [i for i in order if polished[i].names != best.names and not limiting(whole.model, polished[i])]
     share = likelihood.p_best(np.stack([each[i] for i in (ours, *free)]))
     loss = [c.cost - float(np.sum(c.z**2)) + float(mine.sum()) for c, mine in zip(polished, each, strict=True)]
     gain = max(none - ours_before, 1e-9)
@@ -348,14 +348,6 @@ def swap_effect(whole: EffectFitter, best: Candidate, name: str, newest: str, ot
     row[places(newest)] = other.row[places(newest)]
     names = (*(n for n in best.names if n != name), newest)
     return whole.at(row, names, tuple(p for n in names for p in places(n)))
-
-
-def on_bound(model, c: Candidate) -> bool:
-    """Returns True if a parameter lies on a bound that is not its null."""
-    low, high, size = bounds(model)
-    tolerance = thresholds().decide.bound_tolerance
-    near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
-    return any(near(place, low[place]) or near(place, high[place]) for place in c.places)
 
 
 def as_in_healthy_robots(e: Likelihood, stand: dict[str, Support]) -> set[str]:

@@ -5,12 +5,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.decide.decide import on_bound
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.fit import Candidate
+from fishmj.gap.search.fit import Candidate, limiting
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
@@ -99,7 +98,7 @@ def rounds(inquiry: Inquiry) -> tuple[RoundFinalists, ...]:
         best = step.ranked[0]
         gained = (e.linearised_at(start.row) if number else e).loss(start.row) - best.cost
         z, *sides = e.linearised_at(best.row).subset().z(np.stack([start.row, *(c.row for c in step.ranked)]))
-        free = [i for i, c in enumerate(step.ranked) if c is best or not on_bound(e.model, c)]
+        free = [i for i, c in enumerate(step.ranked) if c is best or not limiting(e.model, c)]
         share = likelihood.p_best(np.stack([likelihood.costs(sides[i], e.layout) for i in free]))
         drawn = dict(zip(free, map(float, share), strict=True))
         new = best.names[-1]

@@ -318,6 +318,15 @@ def bounds(model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return low, high, np.array([1.0] * n + [_size(p) for p in entries])
 
 
+def limiting(model, c: Candidate) -> list[str]:
+    """Names of the effects with a parameter on a bound that is not its null: limiting forms of another law."""
+    low, high, size = bounds(model)
+    tolerance = thresholds().decide.bound_tolerance
+    near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]
+    own = {x.name: [model.index(x.name, p.name) for p in x.parameters] for x in model.active.effects if x.name in c.names}
+    return [name for name in c.names if any(near(k, low[k]) or near(k, high[k]) for k in own.get(name, ()))]
+
+
 def _size(parameter) -> float:
     """Typical departure from the null, at its large end."""
     return max(abs(t - parameter.null) for t in parameter.typical)

@@ -29,7 +29,7 @@ from fishmj.gap.progress import Bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
-from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, on_records, refine
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, limiting, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood, costs, draws, over_floor, relinearise
 from fishmj.gap.search.shared_effects import apart, kinds, least_needed, shared_candidates
 from fishmj.gap.thresholds import Gates, thresholds
@@ -200,6 +200,7 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
         selected = prune(e, folds, selected, gates)
         if counted() > 2 and selected.near.form >= thresholds().model_error.form_grid[-1]:
             break  # what three effects do not describe to within a half is not in the catalogue
+    selected = exchange_limiting_forms(e, folds, selected, pool, gates, say)
     return Selection(base, selected, folds, tuple(steps), whole.whiten.logdet)
 
 
@@ -401,6 +402,28 @@ def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, 
     near = fitted.near
     fits = tuple(drop_effect(near.subset(~f), c, name) for f, c in zip(folds, fitted.fits, strict=True))
     return converge(e, folds, drop_effect(near.subset(), fitted.best, name), fits)
+
+
+def exchange_limiting_forms(
+    e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, pool, gates: Gates, say: Callable[[str], None]
+) -> CrossValidatedFit:
+    """The set with each effect on a bound, a limiting form of another law, replaced by another effect if little is lost.
+
+    Little is less than a further effect must gain. pool: effects that may be added.
+    """
+    tried: list[str] = []
+    while left := [name for name in limiting(e.model, fitted.best) if name not in tried]:
+        tried += left[:1]
+        others = [x for x in pool if x.name not in (*fitted.best.names, *tried)]
+        found = propose(without_effect(e, folds, fitted, left[0]), folds, others, gates, 0.0).fitted
+        if found is not None:
+            other = converge(e, folds, found.best, found.fits)
+            lost = loss_increase(fitted, other, folds)
+            if lost < gates.gain:
+                fitted = other
+                now = title("+".join(kinds(other.best.names)))
+                say(f"{title(left[0])} has a value on its bound: {now} instead, at {lost:.3g} in twice the log likelihood")
+    return fitted
 
 
 def loss_increase(fitted: CrossValidatedFit, less: CrossValidatedFit, folds: np.ndarray) -> float:

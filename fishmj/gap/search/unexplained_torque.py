@@ -181,8 +181,8 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
 def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
     """Veto: an effect at a joint halves the mean square of the torque there that nothing explains, others that of all joints.
 
-    Else the answer is UNEXPLAINED, for all effects: the others were fitted beside one that stands in for something else. A torque
-    within what is allowed is none. What is left beside a name is a warning.
+    Else it is counted in, not named; without another one the answer is UNEXPLAINED. A torque within what is allowed is none. What
+    is left beside a name is a warning.
 
     names: of the joints.
     """
@@ -203,8 +203,11 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
     everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
     share = {found.name: shares.get(found.name.partition("@")[2], everywhere) for found in verdict.effects}
-    most = max(share.values())
-    if most > limits.share:
-        why = f"{percent(most)} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
+    kept = tuple(found for found in verdict.effects if share[found.name] <= limits.share)
+    rest = f"torques of {words} are left that no effect explains"
+    if not kept:
+        least = percent(min(share.values()))
+        why = f"{least} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
         return replace(verdict, answer="UNEXPLAINED", reason=why)
-    return replace(verdict, warnings=(*verdict.warnings, f"torques of {words} are left that no effect explains"))
+    others = tuple(found for found in verdict.effects if found not in kept)
+    return replace(verdict, effects=kept, tentative=(*verdict.tentative, *others), warnings=(*verdict.warnings, rest))
