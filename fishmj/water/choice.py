@@ -198,7 +198,7 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
         coefficients["residual"] = share
     made = _with(robot, coefficients, name)
     if (family := family_of(name)) is not None:
-        fits = ", ".join(f"{one.name} {one.slip:g}" for one in family.members)
+        fits = ", ".join(dict.fromkeys(f"{one.name} {one.slip:g}" for one in family.members))
         return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between fits at slip {fits}")
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
     preview = ", a preview" if model.preview else ""

@@ -189,6 +189,17 @@ def acting(wanted: bool) -> Iterator[None]:
         mujoco.set_mjcb_passive(before)
 
 
+@contextmanager
+def no_warnings() -> Iterator[None]:
+    """MuJoCo neither prints that a trial diverged nor writes MUJOCO_LOG.TXT: such a trial is refused by its numbers."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
 def acting_text() -> str:
     """Text of the laws as numba functions, and of `act`: what all laws of a joint add to its torque, and to its dry friction.
 

@@ -12,8 +12,7 @@ logs alone a delay of the sensors is one of the commands.
 """
 
 import copy
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -380,7 +379,7 @@ class RigidRobot(ParameterRow):
         state, sensors = np.empty((*u.shape[:2], begins.shape[1])), np.empty((*u.shape[:2], self.robot.model.nsensordata))
         given = {"control_spec": spec, "skip_checks": True, "nstep": u.shape[1], "state": state, "sensordata": sensors}
         many = len(self._data) if len(self._data) > 1 else 0
-        with rollout.Rollout(nthread=many) as pool, joint_laws.acting(lawful), _no_warnings():
+        with rollout.Rollout(nthread=many) as pool, joint_laws.acting(lawful), joint_laws.no_warnings():
             pool.rollout(models, self._data, begins, np.ascontiguousarray(u), **given)
         return state
 
@@ -474,17 +473,6 @@ class RigidRobot(ParameterRow):
     def fingerprint(self) -> str:
         """Text of the description."""
         return self.robot.spec.to_xml()
-
-
-@contextmanager
-def _no_warnings() -> Iterator[None]:
-    """MuJoCo neither prints that a trial diverged nor writes MUJOCO_LOG.TXT: such a trial is refused by its numbers."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _keep(kept: dict, key: Any, value: np.ndarray) -> None:
