@@ -84,6 +84,8 @@ def test_a_limiting_form_gives_way_to_the_law_that_it_imitates(folder, arm):
     fades[e.model.index("stribeck@elbow", "speed")] = 5.0  # rad/s, its bound
     imitated = imitated._replace(best=e.subset().at(fades, imitated.best.names, imitated.best.places))
     assert limiting(e.model, imitated.best) == ["stribeck@elbow"]
+    own = [x for x in pool if x.name == "stribeck@elbow"]
+    assert exchange_limiting_forms(e, folds, imitated, own, robot_gates(), said.append) is imitated and not said
     found = exchange_limiting_forms(e, folds, imitated, pool, robot_gates(), said.append)
     assert found.best.names == ("coulomb_friction@elbow",) and "instead" in said[0]
     assert exchange_limiting_forms(e, folds, found, pool, robot_gates(), said.append) is found and len(said) == 1
