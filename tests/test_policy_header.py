@@ -80,9 +80,16 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
     robot = replace(ROBOT, name="swift.v2", links=links, servo=replace(ROBOT.servo, kp=9.0))
     (note,) = control.make(stored(tmp_path, header()), robot).notes
     assert note == (
-        "policy mine: not as trained: robot swift, here swift.v2; lengths or reference point off by less than 10 %; "
+        "policy mine: not as trained: robot swift, here swift.v2; lengths or reference point off by at most 10 %; "
         "other masses, sections, servo, timing or effects"
     )
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_a_tenth_of_a_length_is_taken(tmp_path, scale):
+    """Of the length in training, both ways: a tail a tenth shorter has nine tenths of it."""
+    (note,) = control.make(stored(tmp_path, header()), longer(scale)).notes
+    assert "off by at most 10 %" in note
 
 
 @pytest.mark.parametrize(

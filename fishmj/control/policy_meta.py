@@ -26,7 +26,7 @@ MOST = 1000  # links, observations: beyond them it is no fish
 LONGEST = 4000  # characters of a training command
 KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
 HASHED = {  # what differs by its hash -> what that may be
-    "structure": "lengths or reference point off by less than 10 %",
+    "structure": "lengths or reference point off by at most 10 %",
     "constants": "other masses, sections, servo, timing or effects",
 }
 
@@ -206,9 +206,9 @@ def _differences(theirs: dict, ours: dict) -> list[str]:
             break
     if not found and "lengths" in theirs:
         for link, a, b in zip(ours["links"], theirs["lengths"], ours["lengths"], strict=True):
-            if abs(a / b - 1) > CLOSE:
+            if abs(b / a - 1) > CLOSE + SAME:
                 found.append(f"made for a {link} of {a:.3g} m, the robot's is {b:.3g} m")
-    if not found and "reference_point" in theirs and abs(theirs["reference_point"] / ours["reference_point"] - 1) > CLOSE:
+    if not found and "reference_point" in theirs and abs(ours["reference_point"] / theirs["reference_point"] - 1) > CLOSE + SAME:
         a, b = theirs["reference_point"], ours["reference_point"]
         found.append(f"made for a reference point {a:.3g} m behind the nose, the robot's is {b:.3g} m")
     if "servo_range" in theirs and abs(theirs["servo_range"] / ours["servo_range"] - 1) > SAME:
