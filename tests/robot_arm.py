@@ -5,6 +5,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
+
 ARM = """<mujoco model="arm">
   <option timestep="0.002" integrator="implicitfast"/>
   <worldbody>
@@ -23,6 +25,13 @@ ARM = """<mujoco model="arm">
   </actuator>
 </mujoco>
 """
+
+
+def trials_of(robot, logs: Path) -> list:
+    """Trials of the logs in a folder, whose columns are guessed by the robot's names."""
+    files = log_files(logs)
+    columns = guess_columns(list(read_sheet(files[0]).columns), robot.sites("joint"), robot.actuators, torques=True)
+    return read_robot_logs(files, columns)[0]
 
 
 def edited(**changes) -> str:

@@ -5,7 +5,7 @@ import json
 import mujoco
 import numpy as np
 import pytest
-from robot_arm import ARM, edited, swing, write_logs
+from robot_arm import ARM, edited, swing, trials_of, write_logs
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
@@ -17,7 +17,7 @@ from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.records.robot_logs import guess_columns, log_files, read_columns, read_robot_logs, read_sheet
+from fishmj.gap.records.robot_logs import read_columns, read_robot_logs
 from fishmj.gap.records.shooting import robot_record, robot_records, thinned
 
 pytest.importorskip("numba")
@@ -41,9 +41,7 @@ def records(folder, arm):
 
 
 def records_of(robot, logs):
-    files = log_files(logs)
-    columns = guess_columns(list(read_sheet(files[0]).columns), robot.sites("joint"), robot.actuators, torques=True)
-    return robot_records(read_robot_logs(files, columns)[0], robot.dt, robot.sites("joint"))
+    return robot_records(trials_of(robot, logs), robot.dt, robot.sites("joint"))
 
 
 @pytest.fixture(scope="module")

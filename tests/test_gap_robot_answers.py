@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import mujoco
 import pytest
-from robot_arm import ARM, write_logs
+from robot_arm import ARM, trials_of, write_logs
 
 from fishmj.gap.commands.check_robot import compare, printed_lines
 from fishmj.gap.commands.find_robot import by_effect, without_stand_in
 from fishmj.gap.models.robot_description import read_robot
-from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.sections import escape_text
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
@@ -41,9 +40,8 @@ def test_version_that_leaves_a_gap_is_told_so(tmp_path):
     path = tmp_path / "arm.xml"
     path.write_text(ARM)
     arm = read_robot(path)
-    files = log_files(write_logs(tmp_path / "healthy", ARM, logs=2, seconds=2.6))
-    columns = guess_columns(list(read_sheet(files[0]).columns), arm.sites("joint"), arm.actuators, torques=True)
-    records = robot_records(read_robot_logs(files, columns)[0], arm.dt, arm.channels)
+    trials = trials_of(arm, write_logs(tmp_path / "healthy", ARM, logs=2, seconds=2.6))
+    records = robot_records(trials, arm.dt, arm.channels)
     stiff = mujoco.MjSpec.from_string(ARM)
     stiff.joint("elbow").frictionloss = 5.0
     parent = replace(arm, model=stiff.compile())

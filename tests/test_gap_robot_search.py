@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robot_arm import ARM, edited, write_logs
+from robot_arm import ARM, edited, trials_of, write_logs
 
 from fishmj import effects
 from fishmj.gap.commands.find_robot import by_effect, place_of, robot_gates
@@ -12,7 +12,6 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
-from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.fit import limiting
@@ -43,9 +42,7 @@ def sticky(folder, arm):
 
 
 def search_among(arm, logs, *names):
-    files = log_files(logs)
-    columns = guess_columns(list(read_sheet(files[0]).columns), arm.sites("joint"), arm.actuators, torques=True)
-    trials, _ = read_robot_logs(files, columns)
+    trials = trials_of(arm, logs)
     records = robot_records(trials, arm.dt, arm.sites("joint"))
     null, some = RobotNull(16), [effects.robot_catalogue()[name] for name in names]
     model, _ = with_measured_errors(RigidRobot(arm, sizes_of(arm, records), some), records, null)

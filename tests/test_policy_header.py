@@ -87,7 +87,7 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
 
 @pytest.mark.parametrize("scale", [0.9, 1.1])
 def test_a_tenth_of_a_length_is_taken(tmp_path, scale):
-    """Of the length in training, both ways: a tail a tenth shorter has nine tenths of it."""
+    """The length in training is the measure: a tail that is a tenth shorter has nine tenths of it."""
     (note,) = control.make(stored(tmp_path, header()), longer(scale)).notes
     assert "off by at most 10 %" in note
 

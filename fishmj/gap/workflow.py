@@ -17,6 +17,7 @@ from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
+from fishmj.gap.search.fit import needs_fine_value
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.gap.search.likelihood import Likelihood, draws, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
@@ -218,7 +219,7 @@ def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     if verdict.answer not in ("NAMED", "CLASS") or not hasattr(model, "torque_tolerance"):
         return verdict
     names = found.best.names
-    stepped = any(p.fine and not p.shape for x in model.active.effects if x.name in names for p in x.parameters)
+    stepped = any(needs_fine_value(x) for x in model.active.effects if x.name in names)
     if stepped or draws(model, names):
         return verdict
     left = found.fitted.over_floor(found.folds)

@@ -364,7 +364,7 @@ def negligible(
     limits = thresholds().secondary
     e = found.near.origin
     gains = gains_beyond(found, gates) if e.calibrated else {n: s.gain for n, s in stand.items()}
-    # Of a robot with many joints, those of its joint, and a joint's share of those of the whole robot.
+    # With many joints a gain is compared with the gains at its own joint, and with a joint's share of those of the whole robot.
     wide = lambda n, o: 1.0 / e.model.joints if shares(e.model) and site_of(n) and not site_of(o) else 1.0
     wholes = {n: sum(wide(n, o) * gain for o, gain in gains.items() if not apart(e.model, n, o)) for n in gains}
     share = {n: gain / wholes[n] for n, gain in gains.items()}

@@ -318,6 +318,11 @@ def bounds(model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return low, high, np.array([1.0] * n + [_size(p) for p in entries])
 
 
+def needs_fine_value(effect) -> bool:
+    """Returns True if the size of an effect acts only at a value within a fraction of a per cent, as a command's steps do."""
+    return any(p.fine and not p.shape for p in effect.parameters)
+
+
 def limiting(model, c: Candidate) -> list[str]:
     """Names of the effects with a parameter on a bound that is not its null: limiting forms of another law."""
     low, high, size = bounds(model)

@@ -14,10 +14,9 @@ from collections import Counter
 
 import numpy as np
 
+from fishmj.gap.models.rigid_robot import AT
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.thresholds import Gates, thresholds
-
-AT = "@"  # as of models/rigid_robot.py
 
 
 def site_of(name: str) -> str:

@@ -415,14 +415,17 @@ def exchange_limiting_forms(
     while left := [name for name in limiting(e.model, fitted.best) if name not in tried]:
         tried += left[:1]
         others = [x for x in pool if x.name not in (*fitted.best.names, *tried)]
-        step = propose(without_effect(e, folds, fitted, left[0]), folds, others, gates, 0.0) if others else None
-        if step is not None and (found := step.fitted) is not None:
-            other = converge(e, folds, found.best, found.fits)
-            lost = loss_increase(fitted, other, folds)
-            if lost < gates.gain:
-                fitted = other
-                now = title("+".join(kinds(other.best.names)))
-                say(f"{title(left[0])} has a value on its bound: {now} instead, at {lost:.3g} in twice the log likelihood")
+        if not others:
+            break
+        found = propose(without_effect(e, folds, fitted, left[0]), folds, others, gates, 0.0).fitted
+        if found is None:
+            continue
+        other = converge(e, folds, found.best, found.fits)
+        lost = loss_increase(fitted, other, folds)
+        if lost < gates.gain:
+            fitted = other
+            now = title("+".join(kinds(other.best.names)))
+            say(f"{title(left[0])} has a value on its bound: {now} instead, at {lost:.3g} in twice the log likelihood")
     return fitted
 
 

@@ -24,8 +24,9 @@ from fishmj.gap.null.whitening import separate_blocks
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search.drawn_effects import drawn_candidates
-from fishmj.gap.search.fit import EffectFitter
+from fishmj.gap.search.fit import EffectFitter, needs_fine_value
 from fishmj.gap.search.likelihood import Likelihood, draws
+from fishmj.gap.search.shared_effects import site_of
 from fishmj.gap.search.stepwise import informative_records
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
@@ -87,7 +88,7 @@ def _unusual(e: Likelihood, few: np.ndarray, best: TorqueFit) -> list[TorqueFit]
     for row in (model.null, chosen):
         stated = e.with_record_errors(model.with_errors(model.torque_tolerance, row))
         fit = stated.subset(few)
-        exact = [x for x in model.active.effects if any(p.fine and not p.shape for p in x.parameters)]
+        exact = [x for x in model.active.effects if needs_fine_value(x)]
         tried = fit.screen(fit.at(row), exact, fit.grid_search(fit.at(row), exact))[:1] if exact else []
         drawn = (c for x in draws(model) for c in drawn_candidates(stated, few, fit.at(row), x))
         tried += sorted(drawn, key=lambda c: c.cost)[:1]
@@ -105,7 +106,7 @@ def _best_single(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) 
     found = fit.screen(base, effects, fit.grid_search(base, waves)) if effects else []
     best: dict[str, np.ndarray] = {}
     for c in (c for c in found if c.cost < base.cost):
-        best.setdefault(c.names[-1].partition("@")[2], c.row)
+        best.setdefault(site_of(c.names[-1]), c.row)
     return list(best.values())[: thresholds().torques.starts]
 
 
@@ -202,7 +203,7 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
         return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect of the catalogue explains")
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
     everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
-    share = {found.name: shares.get(found.name.partition("@")[2], everywhere) for found in verdict.effects}
+    share = {found.name: shares.get(site_of(found.name), everywhere) for found in verdict.effects}
     kept = tuple(found for found in verdict.effects if share[found.name] <= limits.share)
     rest = f"torques of {words} are left that no effect explains"
     if not kept:
