@@ -7,6 +7,7 @@ import pytest
 from fishmj import control
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.engines.lbm import LbmEngine
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import run_trials, trials
 from fishmj.gap.calibrate import slip
@@ -17,53 +18,71 @@ from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.markers import SHARP, Sharpness
 from fishmj.lbm_oracle.run.domain import EVERY, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, PLAIN, REFERENCE, asked_for, boundary_name
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, PLAIN, REFERENCE, REFERENCES, asked_for, boundary_name
 from fishmj.mjcf import load_robot
+from fishmj.water.flow import Flow
 
 
 def test_plain_is_the_papers_tank_and_options_change_it():
     assert (PLAIN.domain, PLAIN.slip) == ("paper", 1.0) and PLAIN.label == "paper, slip 1"
-    assert asked_for("evaluate", False, None, None) == PLAIN
-    other = asked_for("evaluate", False, "laptop_refined", 0.97)
+    assert asked_for("evaluate", None, None, None) == PLAIN
+    other = asked_for("evaluate", None, "laptop_refined", 0.97)
     assert (other.domain, other.slip, other.label) == ("laptop_refined", 0.97, "laptop_refined, slip 0.97")
 
 
 def test_reference_water_is_labelled_and_refuses_another_domain_or_slip():
-    assert asked_for("evaluate", True, None, None) is REFERENCE
+    assert asked_for("evaluate", REFERENCE.name, None, None) is REFERENCE
     assert REFERENCE.name in REFERENCE.label and REFERENCE.domain in EVERY and REFERENCE.window in EVERY
     for domain, ratio in (("paper", None), (None, 1.0), (None, 0.0)):
         with pytest.raises(ConfigError, match="beside --reference"):
-            asked_for("evaluate", True, domain, ratio)
+            asked_for("evaluate", REFERENCE.name, domain, ratio)
 
 
-def test_the_reference_swims_freely_on_the_cells_of_its_tank():
-    tank, window = (REFERENCE._replace(domain=name).box for name in (REFERENCE.domain, REFERENCE.window))
+@pytest.mark.parametrize("water", REFERENCES.values(), ids=REFERENCES)
+def test_a_water_for_judging_swims_freely_on_the_cells_of_its_tank(water):
+    tank, window = (water._replace(domain=name).box for name in (water.domain, water.window))
     assert [(a.dx, a.dt) for a in tank.levels] == [(b.dx, b.dt) for b in window.levels]
     assert tank.boxes == window.boxes and window.follows and not tank.follows
 
 
+def test_the_waters_for_judging_differ_in_label_fingerprint_and_viscosity():
+    brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
+    assert [asked_for("evaluate", name, None, None) for name in REFERENCES] == list(REFERENCES.values())
+    assert len({run_trials.fingerprint(brain, robot, trials(), water) for water in REFERENCES.values()}) == len(REFERENCES)
+    thick = REFERENCES["low-reynolds"]
+    assert thick.label.endswith("viscosity 2e-05 m2/s") and all(level.lattice.nu == 2e-5 for level in thick.box.levels)
+    other = PLAIN._replace(nu=2e-5)
+    assert run_trials.fingerprint(brain, robot, trials(), other) != run_trials.fingerprint(brain, robot, trials(), PLAIN)
+    assert 0.2 * robot.length / thick.nu == pytest.approx(5350, rel=0.01)
+
+
+def test_a_tank_of_the_engine_has_the_viscosity_of_its_water():
+    engine = LbmEngine(load_robot("fish"), [Flow()], domain="laptop", device="cpu", nu=2e-5)
+    assert engine.domain.nu == 2e-5
+    tiny = replace(preset("laptop"), shape=(52, 32, 20), sponge=4, nu=2e-5)
+    assert float(SwimSetup(domain=tiny, device="cpu").run().coupled.fluid.lattice.nu_lu) == pytest.approx(2e-5 * 0.004 / 0.02**2)
+
+
 def test_chosen_boundary_enters_water_label_and_trial_fingerprint():
-    rims = asked_for("evaluate", False, None, 0.98, boundary="rims")
+    rims = asked_for("evaluate", None, None, 0.98, boundary="rims")
     assert rims.sharpness == Sharpness(rim=1.0) and rims.immersed["sharpness"] == rims.sharpness
-    assert (
-        rims.label == "paper, slip 0.98, boundary rims" and asked_for("evaluate", False, None, 0.98).label == "paper, slip 0.98"
-    )
+    assert rims.label == "paper, slip 0.98, boundary rims" and asked_for("evaluate", None, None, 0.98).label == "paper, slip 0.98"
     with pytest.raises(ConfigError, match="--boundary sharp beside --reference"):
-        asked_for("evaluate", True, None, None, boundary="sharp")
+        asked_for("evaluate", REFERENCE.name, None, None, boundary="sharp")
     brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
     marks = {run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(sharpness=edge)) for edge in BOUNDARIES.values()}
     assert len(marks) == len(BOUNDARIES) and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
 
 
 def test_half_precision_has_its_own_label_and_fingerprint_and_no_reference():
-    half = asked_for("evaluate", False, None, 0.98, storage="float16")
+    half = asked_for("evaluate", None, None, 0.98, storage="float16")
     assert half.label == "paper, slip 0.98, float16" and half.immersed["storage"] == "float16"
-    assert "storage" not in asked_for("evaluate", False, None, 0.98, storage="float32").immersed
+    assert "storage" not in asked_for("evaluate", None, None, 0.98, storage="float32").immersed
     brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
     marks = [run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(storage=kind)) for kind in ("float32", "float16")]
     assert marks[0] != marks[1]
     with pytest.raises(ConfigError, match="--storage float16 beside --reference"):
-        asked_for("evaluate", True, None, None, storage="float16")
+        asked_for("evaluate", REFERENCE.name, None, None, storage="float16")
     with pytest.raises(ConfigError, match="storage 'float16' in paper_refined, which has finer cells; expected 'float32'"):
         body = ImmersedBody.of("fish", "planar", REFERENCE.box.body_level.dt)
         SwimSetup(domain=REFERENCE.box, storage="float16").assembled(body)

@@ -40,7 +40,7 @@ class LbmEngine:
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm, `paper_refined` the same with 1 cm round the fish.
         slip: ratio at the paper's grid. device: auto, cpu or cuda.
         finer: number of time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
-        storage: type of the populations. dx: m, cells in place of the domain's.
+        storage: type of the populations. dx: m, cells in place of the domain's. nu: m2/s, kinematic viscosity.
 
     Raises ConfigError: an effect that cannot act in a tank.
     """
@@ -50,12 +50,12 @@ class LbmEngine:
     def __init__(
         self, robot: Robot, flows: Sequence[Flow], *, domain: str = "paper", slip: float = 1.0, device: str = "auto",
         finer: int = 1, width: int = PLAIN.width, passes: int = PLAIN.passes, sharpness: Sharpness = PLAIN.sharpness,
-        storage: str = PLAIN.storage, dx: float | None = None,
+        storage: str = PLAIN.storage, dx: float | None = None, nu: float = PLAIN.nu,
     ):  # fmt: skip
         check_effects(robot)
         self.robot, self.flows = robot, list(flows)
         self.active = activate(robot.effects, robot.n_joints)[0] if robot.effects else None
-        box = preset(domain).with_cells(dx)
+        box = preset(domain).changed(nu=nu).with_cells(dx)
         self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
         self.width, self.passes, self.sharpness, self.storage = width, passes, sharpness, storage
         self.tanks: ConcurrentRuns | None = None

@@ -33,8 +33,7 @@ from fishmj.evaluate.trial_report import (
 )  # fmt: skip
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option
-from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
+from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option, reference_option
 from fishmj.mjcf.description import COMMAND_PATHS
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.water import choice
@@ -70,7 +69,7 @@ def options() -> console.Parser:
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}, hours without a GPU")
-    add("--reference", action="store_true", help=f"with --water lbm: {JUDGING.said}; default: --domain and --slip")
+    reference_option(add, "--domain and --slip")
     box = f"box of water of --water lbm, default {PLAIN.domain}, or hybrid, default that of the fitted water"
     add("--domain", choices=BOXES, help=f"{box}; laptop is a preview, _refined has finer cells round the fish")
     cell = "of the cells of --water lbm; the box keeps its size, a box round the fish its half cells; default that of --domain"

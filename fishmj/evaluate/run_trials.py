@@ -298,7 +298,7 @@ def judge_each_in_solver(
     water = PLAIN if water is None else water
     water = water._replace(domain=domain or water.domain, slip=water.slip if slip is None else slip)
     box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "finer": variation.finer} | water.immersed
-    box |= {} if water.dx is None else {"dx": water.dx}
+    box |= {"dx": water.dx, "nu": water.nu}
     keys = [(k, i) for k in range(len(brains)) for i in range(len(trials))]
     names = {(k, i): name_of(brains[k], trials.items[i]) for k, i in keys}
     paths: dict[tuple[int, int], Path] = {}
@@ -453,6 +453,7 @@ def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> st
         },
         "seed": trials.items[0].seed[:2],
         "water": [water.domain, water.slip, HELD, *([] if water.dx is None else [water.dx])],
+        **({} if water.nu == PLAIN.nu else {"nu": water.nu}),
         **({"immersed": {k: repr(v) for k, v in water.immersed.items()}} if water.immersed != PLAIN.immersed else {}),
         **({"effects": repr(robot.effects)} if robot.effects else {}),
         **({"hull": robot.hull} if robot.hull != "turbulent" else {}),

@@ -13,8 +13,7 @@ from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
 from fishmj.evaluate.experiments.paper_experiment import ExperimentPart, ExperimentSetup, PaperExperiment
-from fishmj.lbm_oracle.run.solver_water import PLAIN
-from fishmj.lbm_oracle.run.solver_water import REFERENCE as JUDGING
+from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, reference_option
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 
@@ -43,7 +42,7 @@ def options() -> console.Parser:
     add("--policy", type=console.text, default=BEST, help=policy)
     solved = "lbm: the flow solver itself, hours without a GPU"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}")
-    add("--reference", action="store_true", help=f"with --water lbm: {JUDGING.said}; default {PLAIN.said}")
+    reference_option(add, PLAIN.said)
     place = "of --water lbm: auto, cpu, cuda, cuda:N or cuda:all; default auto"
     add("--device", type=console.devices, default="auto", help=place)
     add("--tanks", type=console.whole(1, 256), default=1, help="trials of --water lbm side by side on each device; default 1")
@@ -96,7 +95,7 @@ def setup_of(args) -> ExperimentSetup:
     solved = water.kind == choice.LBM
     if args.reference and not solved:
         raise ConfigError("experiments: --reference: of --water lbm only; leave it out, or add it")
-    solver = (JUDGING if args.reference else PLAIN) if solved else None
+    solver = asked_for("experiments", args.reference, None, None) if solved else None
     common = {"robot": water.robot, "policy": args.policy, "seed": args.seed, "quick": args.quick, "out": Path(args.out)}
     return ExperimentSetup(**common, solver=solver, device=args.device, tanks=args.tanks, trained=args.trained)
 

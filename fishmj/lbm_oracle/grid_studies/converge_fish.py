@@ -15,7 +15,7 @@ refused. To repeat a run, delete its line.
 
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from math import radians
 from pathlib import Path
@@ -26,6 +26,7 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
+from fishmj.base.units import WATER_VISCOSITY
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, measure_points
 from fishmj.lbm_oracle.force_maps.forcemap import stage
@@ -88,9 +89,9 @@ def study(what: Iterable[str], grids: Iterable[float], parts: Iterable[int], sli
     return keys
 
 
-def box(name: str, key: Key) -> Domain:
-    """Box of that domain on the grid of a key, with the time step as a whole part of the bus tick."""
-    return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt))
+def box(name: str, key: Key, nu: float) -> Domain:
+    """Box of that domain on the grid of a key, with the time step as a whole part of the bus tick; nu: viscosity, m2/s."""
+    return preset(name).changed(dx=key.dx, dt=TICK / round(TICK / key.dt), nu=nu)
 
 
 def cruise(domain: Domain, beats: float, options: dict[str, Any]) -> ConvergenceResult:
@@ -122,12 +123,20 @@ def force_when_held(what: str, domain: Domain, plan: AveragingTimes, options: di
 
 
 def on_device(
-    waiting: Waiting, device: str, go_on: GoOn, *, domain: str, beats: float, plan: AveragingTimes, edge: Sharpness, robot: str
+    waiting: Waiting,
+    device: str,
+    go_on: GoOn,
+    *,
+    domain: Callable[[Key], Domain],
+    beats: float,
+    plan: AveragingTimes,
+    edge: Sharpness,
+    robot: str,
 ) -> Iterator[tuple[Key, dict]]:
     """Runs one after another on one device (`spread`): key and row of each."""
     while waiting:
         key, start = waiting.popleft(), time.perf_counter()
-        grid = box(domain, key)
+        grid = domain(key)
         options = {"robot": robot, "slip": key.slip, "device": device, "sharpness": edge}
         found = cruise(grid, beats, options) if key.what == "cruise" else force_when_held(key.what, grid, plan, options)
         yield key, found._asdict() | {"wall_s": round(time.perf_counter() - start, 1)}
@@ -165,19 +174,20 @@ def main(argv: list[str]) -> int:
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
     edge = BOUNDARIES[args.boundary]
-    setup |= boundary_entry(edge) | robot_entry(robot)
+    setup |= boundary_entry(edge) | robot_entry(robot) | ({} if args.nu == WATER_VISCOSITY else {"nu": args.nu})
     book = FinishedRows(Path(args.out) / "converge.csv", COLUMNS, 4, setup, "converge fish")
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
     seconds = lambda key: cruise_s if key.what == "cruise" else held_s
-    runs = [(level, seconds(key)) for key in left for level in box(args.domain, key).levels]
+    domain = partial(box, args.domain, nu=args.nu)
+    runs = [(level, seconds(key)) for key in left for level in domain(key).levels]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     devices = devices_of(args.device)
     console.say(f"{len(keys)} runs, {len(keys) - len(left)} of them done before, in {args.out}")
     if robot_entry(robot):
         console.say(f"{robot.name}: yaw is taken at {BENT:g} deg, where that of the shipped fish is greatest")
-    work = partial(on_device, domain=args.domain, beats=args.beats, plan=plan, edge=edge, robot=args.robot)
+    work = partial(on_device, domain=domain, beats=args.beats, plan=plan, edge=edge, robot=args.robot)
     keep_rows(book, lambda go_on: spread(work, left, devices, go_on), sum(map(seconds, left)), seconds, "converge", args.json)
     rows = [book.rows[key] for key in keys]
     table, lost = biases(rows), [row for row in rows if row["status"] != OK]
@@ -200,6 +210,7 @@ def _parser() -> console.Parser:
     parts = "time steps, as parts of the paper's Courant number"
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     study_options(add, SLIPS)
+    add("--nu", type=console.number(1e-7, 1e-2), default=WATER_VISCOSITY, metavar="M2/S", help="kinematic viscosity of the water")
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")

@@ -15,7 +15,7 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.base.options import checked_name
-from fishmj.base.units import wrap
+from fishmj.base.units import WATER_VISCOSITY, wrap
 from fishmj.lbm_oracle.fluid.domain_faces import SPONGE, Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.guard import numbers, whole_numbers
 from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
@@ -50,7 +50,8 @@ class Domain:
     """Cells (nx, ny, nz) of dx [m], time step dt [s]; `follows` makes it a window. `bottom`: `slip` or `wall`.
 
     `sides`: kind of the four side faces, `open` for a current, `wall` for a basin. `fine` [m]: size of a box round the fish with
-    cells and steps half as large (`refined`); None: no such box. `finer`: further boxes, each inside the one before.
+    cells and steps half as large (`refined`); None: no such box. `finer`: further boxes, each inside the one before. `nu`
+    [m2/s]: kinematic viscosity.
     """
 
     name: str
@@ -63,12 +64,14 @@ class Domain:
     sponge: int = SPONGE
     fine: tuple[float, float, float] | None = None
     finer: tuple[tuple[float, float, float], ...] = ()
+    nu: float = WATER_VISCOSITY
 
     def __post_init__(self):
         """Raises ConfigError for an invalid number, UnknownName for an unknown kind of face."""
         what = f"domain {self.name}"
         whole_numbers(f"{what}: shape", self.shape, (3,), low=1)
         numbers(f"{what}: dx", self.dx, low=1e-300), numbers(f"{what}: dt", self.dt, low=1e-300)
+        numbers(f"{what}: nu", self.nu, low=1e-300)
         checked_name("kind of bottom", self.bottom, BOTTOMS)
         checked_name("kind of side", self.sides, SIDES)
         for name, size in (("fine", self.fine), *(("finer", size) for size in self.finer)):
@@ -90,7 +93,7 @@ class Domain:
     def lattice(self) -> Lattice:
         """Lattice of this box."""
         x, y, z = (-(n - 1) / 2 * self.dx for n in self.shape)
-        return Lattice(dx=self.dx, dt=self.dt, corner=(x, y, z))
+        return Lattice(dx=self.dx, dt=self.dt, corner=(x, y, z), nu=self.nu)
 
     @property
     def fine_cells(self) -> tuple[int, int, int]:

@@ -1,9 +1,9 @@
 """Named waters of the flow solver: box and grid, slip ratio, immersed boundary.
 
 `PLAIN` is the meaning of `--water lbm` alone: the paper's tank and grid, the source of the shipped fitted water and the published
-tables. `REFERENCE` is the water for judging, selected by name (`--water lbm --reference`). It never changes; another water gets
-another `name`. Grid, slip ratio and boundary were chosen by the effect of half the cell; a real fish's swims judged them
-(docs/solver/results.md, "The reference water").
+tables. `REFERENCES` are the waters for judging, selected by name (`--water lbm --reference NAME`). None of them ever changes;
+another water gets another `name`. Grid, slip ratio and boundary were chosen by the effect of half the cell; a real fish's swims
+judged them (docs/solver/results.md, "The reference water").
 
 `BOUNDARIES` are the treatments of the immersed boundary that have a name (`--boundary`); Python takes any `Sharpness`. Another
 kind of treatment is a new field with a default, which `immersed` passes on.
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
+from fishmj.base.units import WATER_VISCOSITY
 from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import Domain, preset
@@ -80,7 +81,7 @@ class SolverWater(NamedTuple):
     """Boxes of water by name, for a tank and for a fish that swims away; slip ratio of the hull at the paper's grid.
 
     width, passes, sharpness: of the immersed boundary (`SwimSetup`). storage: type of the populations, float32 or float16.
-    dx: m, cells of the tank in place of its domain's.
+    dx: m, cells of the tank in place of its domain's. nu: m2/s, kinematic viscosity.
     """
 
     name: str
@@ -92,11 +93,12 @@ class SolverWater(NamedTuple):
     sharpness: Sharpness = markers.PLAIN
     storage: str = "float32"
     dx: float | None = None
+    nu: float = WATER_VISCOSITY
 
     @property
     def box(self) -> Domain:
         """Domain of the tank."""
-        return preset(self.domain).with_cells(self.dx)
+        return preset(self.domain).changed(nu=self.nu).with_cells(self.dx)
 
     @property
     def immersed(self) -> dict[str, Any]:
@@ -111,7 +113,8 @@ class SolverWater(NamedTuple):
         edge = "" if self.sharpness == markers.PLAIN else f", boundary {boundary_name(self.sharpness)}"
         stored = "" if self.storage == "float32" else f", {self.storage}"
         cells = "" if self.dx is None else f", cells of {1e3 * self.dx:g} mm"
-        return f"{named}{self.domain}{cells}, slip {self.slip:g}{edge}{stored}"
+        viscous = "" if self.nu == WATER_VISCOSITY else f", viscosity {self.nu:g} m2/s"
+        return f"{named}{self.domain}{cells}, slip {self.slip:g}{edge}{stored}{viscous}"
 
     @property
     def said(self) -> str:
@@ -122,28 +125,41 @@ class SolverWater(NamedTuple):
 
 PLAIN = SolverWater("lbm", "paper", "window_coarse")
 REFERENCE = SolverWater("reference-2", "paper_refined", "window_coarse_refined", slip=0.99, sharpness=BOUNDARIES["rims"])
+WALL_STRESS = SolverWater("reference-3", "paper_refined", "window_coarse_refined", sharpness=BOUNDARIES["wall_stress"])
+LOW_REYNOLDS = SolverWater(
+    "low-reynolds", "paper_refined_twice_small", "window_coarse_refined_twice_small", slip=0.0, sharpness=BOUNDARIES["fins"],
+    nu=2e-5,
+)  # fmt: skip
+REFERENCES = {water.name: water for water in (REFERENCE, WALL_STRESS, LOW_REYNOLDS)}
+
+
+def reference_option(add: Callable[..., Any], otherwise: str) -> None:
+    """Adds the option `--reference [NAME]` to a command; `otherwise`: its default, in words."""
+    which = "; ".join(water.said for water in REFERENCES.values())
+    words = f"with --water lbm, a water for judging, {REFERENCE.name} without a name: {which}; default: {otherwise}"
+    add("--reference", nargs="?", const=REFERENCE.name, choices=tuple(REFERENCES), metavar="NAME", help=words)
 
 
 def asked_for(
-    who: str, reference: bool, domain: str | None, slip: float | None, plain: str | None = None, *, boundary: str | None = None,
+    who: str, reference: str | None, domain: str | None, slip: float | None, *, boundary: str | None = None,
     storage: str | None = None, dx: float | None = None,
 ) -> SolverWater:  # fmt: skip
     """Water that the options select.
 
     Args:
         who: the verb, for the message.
+        reference: name in `REFERENCES`, None if not given.
         domain, slip, boundary, storage, dx: the options, None if not given.
-        plain: the verb's default box.
 
     Raises ConfigError: the reference together with another box, slip ratio or boundary, or a slip ratio beside `wall_stress`.
     """
-    if not reference:
-        box, edge = domain or plain or PLAIN.domain, BOUNDARIES[boundary or "plain"]
+    if reference is None:
+        box, edge = domain or PLAIN.domain, BOUNDARIES[boundary or "plain"]
         if edge.law_height is not None and slip is not None:
             raise ConfigError(f"{who}: --slip {slip:g} beside --boundary {boundary}, which sets it; leave one of them out")
         water = PLAIN._replace(domain=box, slip=PLAIN.slip if slip is None else slip, sharpness=edge)
         return water._replace(storage=storage or PLAIN.storage, dx=dx)
     options = {"--domain": domain, "--slip": slip, "--boundary": boundary, "--storage": storage, "--dx": dx}
     if given := " ".join(f"{name} {value}" for name, value in options.items() if value is not None):
-        raise ConfigError(f"{who}: {given} beside --reference, which is {REFERENCE.said}; leave one of them out")
-    return REFERENCE
+        raise ConfigError(f"{who}: {given} beside --reference, which is {REFERENCES[reference].said}; leave one of them out")
+    return REFERENCES[reference]

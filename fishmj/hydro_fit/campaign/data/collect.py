@@ -264,7 +264,7 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(args.fish)
     if args.reference:
         slip = args.slip[0] if args.slip else None
-        asked_for("collect", True, args.domain, slip, boundary=args.boundary)  # refuses another box, ratio or boundary
+        asked_for("collect", REFERENCE.name, args.domain, slip, boundary=args.boundary)  # refuses another box, ratio or boundary
         args.domain = REFERENCE.window
     edge = REFERENCE.sharpness if args.reference else BOUNDARIES[args.boundary or "plain"]
     plan = plan_of(args, robot)
