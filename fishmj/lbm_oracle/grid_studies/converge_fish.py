@@ -26,7 +26,6 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
-from fishmj.base.units import WATER_VISCOSITY
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point, measure_points
 from fishmj.lbm_oracle.force_maps.forcemap import stage
@@ -35,7 +34,15 @@ from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, robot_entry, study_options, study_slips
+from fishmj.lbm_oracle.run.solver_water import (
+    BOUNDARIES,
+    boundary_entry,
+    robot_entry,
+    study_options,
+    study_slips,
+    viscosity_entry,
+    viscosity_option,
+)
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -174,7 +181,7 @@ def main(argv: list[str]) -> int:
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
     edge = BOUNDARIES[args.boundary]
-    setup |= boundary_entry(edge) | robot_entry(robot) | ({} if args.nu == WATER_VISCOSITY else {"nu": args.nu})
+    setup |= boundary_entry(edge) | robot_entry(robot) | viscosity_entry(args.nu)
     book = FinishedRows(Path(args.out) / "converge.csv", COLUMNS, 4, setup, "converge fish")
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
@@ -210,7 +217,7 @@ def _parser() -> console.Parser:
     parts = "time steps, as parts of the paper's Courant number"
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
     study_options(add, SLIPS)
-    add("--nu", type=console.number(1e-7, 1e-2), default=WATER_VISCOSITY, metavar="M2/S", help="kinematic viscosity of the water")
+    viscosity_option(add)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
     add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")

@@ -46,6 +46,16 @@ def robot_entry(robot: Robot) -> dict[str, str]:
     return {} if robot == load_robot("fish") else {"robot": robot.name}
 
 
+def viscosity_entry(nu: float) -> dict[str, float]:
+    """Entry for the kinematic viscosity [m2/s] in the set-up of a table; empty for that of water, as in older files."""
+    return {} if nu == WATER_VISCOSITY else {"nu": nu}
+
+
+def viscosity_option(add: Callable[..., Any]) -> None:
+    """Adds the option `--nu` to the command of a study."""
+    add("--nu", type=console.number(1e-7, 1e-2), default=WATER_VISCOSITY, metavar="M2/S", help="kinematic viscosity")
+
+
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
     """Adds the option `--boundary` to a command; `add` is its parser's method."""
     words = "treatment of the hull. rims: fins drawn in. sharp: hulls too, and slip lengths, for --slip 0. edges: as sharp, and"
