@@ -15,8 +15,9 @@ from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.lbm_oracle.immersed import snapshot
 from fishmj.lbm_oracle.run import domain as domains
 from fishmj.lbm_oracle.run.domain import EVERY, REFINED, Domain, preset
-from fishmj.lbm_oracle.run.run import Run
+from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 from fishmj.lbm_oracle.run.swim import LastGood
 from fishmj.mjcf import load_robot
 from fishmj.water.flow import Flow
@@ -163,3 +164,13 @@ def test_collect_takes_a_finer_box_and_finds_it_again(tmp_path):
     write_json(tmp_path / collect.SPLIT, {"grid": grid})
     found = collect.domain_of(SimpleNamespace(domain=None, dt=None, preview=False), tmp_path)
     assert found == preset("window_coarse_refined")
+
+
+@pytest.mark.parametrize("boundary", ["rims", "wall_stress"])
+def test_a_fish_that_is_carried_to_a_face_has_left_the_domain_before_its_kernel_or_law_reaches_past_the_box(boundary):
+    tank = Domain(name="tank", shape=(50, 30, 16), dx=0.04, dt=0.004, sponge=4, fine=(0.8, 0.64, 0.4))
+    stage = SwimSetup(domain=tank, sharpness=BOUNDARIES[boundary], flow=Flow(speed=0.5), pose=(0.62, 0.0, 0.0))
+    tanks = ConcurrentRuns([stage.run()])
+    while not tanks.runs[0].stopped and tanks.runs[0].time < 1.0:
+        tanks.tick(np.zeros((1, 3)))
+    assert tanks.runs[0].stopped.startswith("left_domain")

@@ -15,6 +15,7 @@ from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.link_dynamics import Corners
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness, fish_markers
+from fishmj.lbm_oracle.refined.exchange import GHOST
 from fishmj.lbm_oracle.refined.refined_fluid import RATIO, RefinedFluid, lowest
 from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run import stability
@@ -180,7 +181,8 @@ class DomainWatch:
                     self.follow(coupled)
         body, fluid = coupled.body, coupled.fluid
         room = margin(fluid, *body.bounds(coupled.boundary.corners))
-        needed = max(stability.CLEARANCE, coupled.boundary.reach)
+        ghosts = GHOST if isinstance(fluid, RefinedFluid) else 0  # cells of `room` that a marker may not read
+        needed = max(stability.CLEARANCE, coupled.boundary.reach + ghosts + 1)  # and one that the fish swims until the next look
         if room < needed:
             at = ", ".join(f"{value:.3f}" for value in body.data.xpos[1])
             raise LeftDomain(
