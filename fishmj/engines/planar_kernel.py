@@ -3,19 +3,23 @@
     state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.PlanarEngine.physics`, float32
 
 `PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Parameters and state of a fish stay
-in registers; the weights of the learnt forces, the same for all, come from cache. The kernel computes the forward pass only;
-gradients use the same steps in XLA.
+in registers; the weights of the learnt forces come from cache. The kernel computes the forward pass only; gradients use the same
+steps in XLA.
+
+Where waters have residuals of their own, a block of fish has one program for each residual. A program ends at once if no fish of
+its block has that residual, and writes those fish that have it. The number of the residual is a coordinate of the program, so
+that every address of a weight is known to be the same for all threads.
 """
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton
 
 from fishmj.engines import FishState, swimmer
 from fishmj.engines.planar_columns import begun, columns, pairs
@@ -45,38 +49,42 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     weights = tuple(jnp.concatenate(tables) for tables in zip(*each, strict=True))
     nones = jnp.zeros(engine.steps, jnp.int32)
     reach = _reach(nets)
-    last = _power(len(nets)) - 1  # no residual has a bit more: so the compiler knows that no address overflows, and adds it once
 
     def kernel(*refs):
         held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
         (state, targets, flow, ambient), params = held
         nones, *weights, out = refs[len(held) :]
         fixed = swimmer(params), (), pairs(flow), columns(ambient)
-        tanh = residual_kernel.tanh_of(interpret)
+        tanh, own = residual_kernel.tanh_of(interpret), pl.program_id(1)
 
         def step(k, carry):
             carry, (target, *later) = carry
             network = partial(residual_kernel.network, weights, tanh=tanh, none=nones[k] & 1, together=UNITS)
-            if len(nets) == 1:
-                learnt: Any = Residual(network, reach[0])
-            else:
-                learnt = partial(_own, lambda own: Residual(partial(network, which=(own & last, len(nets))), _at(reach, own)))
-            added = replace(engine.added, nets=(learnt,))
+            added = replace(engine.added, nets=(Residual(network, _at(reach, own) if len(nets) > 1 else reach[0]),))
             return engine.step(added, *fixed, carry, target), [*later, target]
 
-        _, steps, joints = targets.shape
-        commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
-        carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
-        out[...] = _joined(jax.tree.leaves(carry))
+        def swim(mine=None):
+            _, steps, joints = targets.shape
+            commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
+            carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
+            triton.store(out, _joined(jax.tree.leaves(carry)), mask=mine)
+
+        if len(nets) == 1:
+            swim()
+        else:
+            mine = params.net[:] == own.astype(jnp.float32)
+            there = jnp.max(mine.astype(jnp.float32)) > 0
+            pl.when(there)(lambda: swim(jnp.broadcast_to(mine[:, None], out.shape)))
 
     # copies of the last fish fill up the last block: their numbers are valid in every division
     rows = [jnp.pad(table, ((0, -count % BLOCK), (0, 0)), mode="edge") for table in tables]
     ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # of what comes out, power the last
-    block = lambda width: pl.BlockSpec((BLOCK, width), lambda i: (i, 0))
+    block = lambda width: pl.BlockSpec((BLOCK, width), lambda i, own: (i, 0))
+    mine = lambda a: pl.BlockSpec((len(a) // len(nets), a.shape[1]), lambda i, own: (own, 0))
     out = pl.pallas_call(
         kernel,
-        grid=(len(rows[0]) // BLOCK,),
-        in_specs=[*(block(table.shape[1]) for table in rows), *map(residual_kernel.whole, (nones, *weights))],
+        grid=(len(rows[0]) // BLOCK, len(nets)),
+        in_specs=[*(block(table.shape[1]) for table in rows), residual_kernel.whole(nones), *map(mine, weights)],
         out_specs=block(_power(ends[-1] + 1)),
         out_shape=jax.ShapeDtypeStruct((len(rows[0]), _power(ends[-1] + 1)), jnp.float32),
         interpret=interpret,
@@ -95,22 +103,6 @@ def _at(reach: list, own):
     """The range of residual `own`, a number that the kernel finds as it runs."""
     one_hot = [(own == k).astype(jnp.float32) for k in range(len(reach))]  # Triton takes no choice between two numbers
     return jax.tree.map(lambda *each: sum(there * value for there, value in zip(one_hot, each, strict=True)), *reach)
-
-
-def _own(residual, net, of):
-    """Results that `of` gives of each fish's own residual; those that no fish of the block has are not computed.
-
-    residual: function of the number of a residual. net: (BLOCK,) numbers, floats.
-    """
-    shape = jax.eval_shape(lambda: of(residual(jnp.int32(0))))
-    blank = jax.tree.map(lambda a: jnp.zeros(net.shape, jnp.float32), shape)
-
-    def take(own, made):
-        found = jax.tree.map(lambda a: jnp.broadcast_to(jnp.asarray(a, jnp.float32), net.shape), of(residual(own)))
-        return jax.tree.map(lambda one, other: jnp.where(net == own.astype(jnp.float32), one, other), found, made)
-
-    first, last = (edge(net).astype(jnp.int32) for edge in (jnp.min, jnp.max))
-    return lax.fori_loop(first, last + 1, take, blank)
 
 
 def _power(count: int) -> int:

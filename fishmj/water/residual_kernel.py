@@ -93,7 +93,7 @@ def step(weights: Halves, m: MotionFeatures, z: list, dt: float, *, interpret: b
 
 def whole(a) -> pl.BlockSpec:
     """Block spec of an array that every program sees whole."""
-    return pl.BlockSpec(a.shape, lambda i: (0,) * a.ndim)
+    return pl.BlockSpec(a.shape, lambda *_: (0,) * a.ndim)
 
 
 def compiler(warps: int) -> dict[str, Any]:
@@ -132,16 +132,6 @@ def tanh_of(interpret: bool):
     return lambda x: triton.elementwise_inline_asm(asm, args=[x], constraints="=f,f", pack=1, result_shape_dtypes=shape(x))[0]
 
 
-class _From:
-    """A reference to a table, whose rows count from another one on."""
-
-    def __init__(self, table, start):
-        self.table, self.start = table, start
-
-    def __getitem__(self, at):
-        return self.table[self.start + at[0], at[1]]
-
-
 def _kernel(*refs, dt: float, inputs: int, tanh):
     *x, speed = (ref[...] for ref in refs[:inputs])
     m = MotionFeatures(x[:-WAKES], speed, [], [], [])
@@ -150,19 +140,17 @@ def _kernel(*refs, dt: float, inputs: int, tanh):
         ref[...] = value
 
 
-def network(tables, m: MotionFeatures, z: list, dt: float, tanh, none=0, together: int = 1, which=(0, 1)) -> tuple:
+def network(tables, m: MotionFeatures, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
     """Computes `residual_step.mean_step` inside a kernel.
 
     Args:
-        tables: references to the result of `tables_of`; of several networks, one below the other.
+        tables: references to the result of `tables_of`.
         none: 0; in a loop of steps, a zero that is unknown to the compiler. Otherwise it would load the weights, equal in every
             step, before the loop: a thousand numbers for which no thread has registers.
         together: greatest number of hidden units in a round of the loop; a divisor of their number is used.
-        which: number of the network, and of how many.
     """
-    own, several = which
-    units, biases, squares, crossed, wakes = (_From(table, own * (table.shape[0] // several)) for table in tables)
-    links, zero = tables[2].shape[1], 0.0 * m.speed
+    units, biases, squares, crossed, wakes = tables
+    links, zero = squares.shape[1], 0.0 * m.speed
     even, odd = [*m.x[: links + 1], *z[:HALF]], [*m.x[links + 1 :], *z[HALF:]]
     size = len(even)
 
@@ -181,8 +169,8 @@ def network(tables, m: MotionFeatures, z: list, dt: float, tanh, none=0, togethe
         ahead = [total + squares[k + none, j] * value for j, total in enumerate(ahead)]
     for k, value in enumerate(one * other for one in e for other in o):
         aside = [total + crossed[k + none, j] * value for j, total in enumerate(aside)]
-    members, first = tables[1].shape[0] // several, 1 + size + len(odd)
-    count = tables[0].shape[0] // several // members
+    members, first = biases.shape[0], 1 + size + len(odd)
+    count = units.shape[0] // members
     together = gcd(count, together)
 
     def member(number, carry):
