@@ -193,10 +193,8 @@ class RigidRobot(ParameterRow):
         )
         bare: dict[str, Any] = dict.fromkeys(("servo", "gear", "fish", "flow", "body", "water", "command", "measure"))
         placed = form._replace(parameters=sized)
-        bare |= {"scatter": None, "stochastic": False, "stream": ""}
-        return replace(
-            effect, name=name, parameters=sized, shows=(), memory=(), handed=(), confusions=confused, robot=placed, **bare
-        )
+        bare |= dict.fromkeys(("shows", "memory", "handed"), ()) | {"stream": ""}
+        return replace(effect, name=name, parameters=sized, confusions=confused, robot=placed, **bare)
 
     def _scale(self, unit: str, kind: str, site: str) -> float:
         """Size of a unit at a site of a kind."""
