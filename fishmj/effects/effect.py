@@ -17,7 +17,18 @@ CLOCKS = ("command", "joint", "pose", "power", "velocity")  # what a transport d
 STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
 # where an effect acts in a robot described in MJCF; base: of one that is fixed; thrusters: all actuators on sites together
 ROBOT_SITES = ("joint", "actuator", "body", "robot", "base", "thrusters")
+AT = "@"  # between the kind of an effect and its site on such a robot
 LAW_MATH = ("copysign", "cos", "exp", "pi", "sin")  # of `math`, in the law of an effect of such a robot
+
+
+def kind_of(name: str) -> str:
+    """The effect of the catalogue that a name is of: `payload` of `payload@forearm`."""
+    return name.partition(AT)[0]
+
+
+def site_of(name: str) -> str:
+    """The site of an effect: `forearm` of `payload@forearm`, "" without one."""
+    return name.partition(AT)[2]
 
 
 @dataclass(frozen=True, kw_only=True)
