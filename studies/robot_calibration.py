@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj import effects
 from fishmj.base import console
 from fishmj.gap.calibrate.robot_fit import fit_robot
 from fishmj.gap.models.robot_description import read_robot
@@ -65,7 +66,7 @@ def main() -> None:
             for n in fit_robot(robot, records).numbers:
                 if n.name in truth:
                     off = abs(n.value - truth[n.name]) / max(n.high - n.low, 1e-12)
-                    cases[n.name.partition("@")[0], n.is_told].append((n.low <= truth[n.name] <= n.high, off))
+                    cases[effects.kind_of(n.name), n.is_told].append((n.low <= truth[n.name] <= n.high, off))
             console.say(f"{k + 1} of {args.arms}")
     rows = [
         {

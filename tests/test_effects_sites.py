@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
+from effect_swim import CHAIN, JOINTS, SWIMMER, H, sense, swim
 
 from fishmj import effects
 from fishmj.effects import EffectStack
 from fishmj.effects.dry_friction import AT_REST, GIVE
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
-from fishmj.effects.stack import arrivals, delivered, gusts, noise
+from fishmj.effects.stack import delivered
 from fishmj.water.dynamics.hooks import Effects
 
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
@@ -240,26 +240,14 @@ def test_clocks_add_their_delays_and_drift():
     assert active.delay(np, row, "joint") == 0.0
 
 
-def test_stochastic_effects_have_the_scatter_that_they_claim():
-    names = ("latency_jitter", "packet_loss", "turbulence", "noise_level")
-    active = EffectStack([effects.get(name) for name in names], JOINTS)
-    t, sent = np.arange(20_000) * 0.02, gait(400, 1.0, 20)[::5]
-    rng = np.random.default_rng(11)
-    late, same = arrivals(active, active.flat({"latency_jitter": {"sigma": 0.004}}), t, sent, rng)
+def test_drawn_commands_have_the_scatter_that_their_effects_claim():
+    t, rng = np.arange(20_000) * 0.02, np.random.default_rng(11)
+    sent = rng.normal(size=len(t))
+    late, same = effects.get("latency_jitter").robot.scatter(rng, SimpleNamespace(sigma=0.004), t, sent)
     assert np.all(np.diff(late) >= 0) and np.isclose(np.mean(late - t), 0.004, rtol=0.1) and np.array_equal(same, sent)
     assert np.isclose(np.std(late - t), 0.004, rtol=0.1)
-    _, holes = arrivals(active, active.flat({"packet_loss": {"probability": 0.05}}), t, sent, rng)
-    assert np.isclose(np.mean(np.any(holes != sent, axis=1)), 0.05, atol=0.01)
-    wind = gusts(active, active.flat({"turbulence": {"sigma": 0.02, "time": 0.5}}), t, rng)
-    assert np.allclose(wind.std(0), 0.02, rtol=0.15)
-    assert np.isclose(np.corrcoef(wind[:-25, 0], wind[25:, 0])[0, 1], np.exp(-1.0), atol=0.06)  # half a second apart
-    still = SensorReadings(t, *np.zeros((3, len(t))), np.zeros((len(t), 3)), np.zeros(len(t)))
-    sigma = SensorReadings(0.0, 0.002, 0.002, 0.01, 0.004, 0.1)
-    extra = noise(active, active.flat({"noise_level": {"factor": 2.0}}), still, sigma, rng)
-    assert np.isclose(extra.x.std(), 0.002 * np.sqrt(3), rtol=0.05) and np.isclose(
-        extra.joint.std(), 0.004 * np.sqrt(3), rtol=0.05
-    )
-    assert np.array_equal(gusts(active, active.flat({}), t, rng), np.zeros((len(t), 2)))
+    _, holes = effects.get("packet_loss").robot.scatter(rng, SimpleNamespace(probability=0.05), t, sent)
+    assert np.isclose(np.mean(holes != sent), 0.05, atol=0.01)
 
 
 @pytest.mark.parametrize("name", ["crossflow_drag", "tail_normal_force", "com_offset", "yaw_inertia"])

@@ -12,9 +12,10 @@ from fishmj.gap.bench import robot_cases, robot_rows
 from fishmj.gap.commands import next_robot
 from fishmj.gap.commands.admit_robot import POSES, _posed, mistakes, refuse_mistakes
 from fishmj.gap.commands.apply_robot import changed
-from fishmj.gap.laboratory.articulated.flown_faults import FLOWN, with_faults
+from fishmj.gap.laboratory.articulated.flown_faults import FLOWN
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco, FlownPinocchio, box_drag
 from fishmj.gap.laboratory.articulated.flown_stand import FlownStand, fly, references
+from fishmj.gap.laboratory.articulated.hidden_faults import with_hidden
 from fishmj.gap.laboratory.articulated.robot_plan import QUADROTOR, draw_plan, mjcf
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
@@ -36,7 +37,7 @@ def flown(folder, hidden=None, plant=FlownMujoco, stand=STAND):
     hidden = hidden or {}
     folder.mkdir(parents=True, exist_ok=True)
     for i, reference in enumerate(references(5, stand.logs)):
-        true = with_faults(PLAN, hidden)
+        true = with_hidden(PLAN, hidden, FLOWN)
         log = fly(plant(true, hidden), PLAN, reference, stand, hidden, QUIET, np.random.default_rng(i))
         columns = {f"cmd_r{k + 1}": u for k, u in enumerate(log.commands.T)} | dict(zip(POSE, log.readings.T, strict=True))
         np.savez(folder / f"log{i}.npz", t=log.t, **columns)
@@ -417,8 +418,9 @@ def test_pinocchio_flies_as_mujoco_does():
     pytest.importorskip("pinocchio")
     stand = FlownStand(0.005, 0.0, 0.0, 1.5, 1)
     hidden = {"steady_wind": {"x": 10.0, "y": 3.0, "z": 0.0}, "thruster_lag": {"time": 0.03}}
+    true = with_hidden(PLAN, hidden, FLOWN)
     one, other = (
-        fly(plant(with_faults(PLAN, hidden), hidden), PLAN, references(5, 1)[0], stand, hidden, QUIET, np.random.default_rng(0))
+        fly(plant(true, hidden), PLAN, references(5, 1)[0], stand, hidden, QUIET, np.random.default_rng(0))
         for plant in (FlownMujoco, FlownPinocchio)
     )
     np.testing.assert_allclose(one.clean, other.clean, atol=2e-3)

@@ -11,6 +11,7 @@ from robot_laws import GEARED, ROTOR, play, write_law_logs
 from test_gap_robot import misfit, named, records_of, verdict_of
 from test_gap_robot_search import search_among
 
+from fishmj import effects
 from fishmj.gap.commands.apply_robot import apply_robot
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.rigid_robot import RigidRobot
@@ -162,7 +163,7 @@ def test_laws_are_off_outside_a_rollout(folder):
 def test_search_names_the_hidden_law_or_its_class(name, folder):
     robot = described(folder, name)
     logs = write_law_logs(folder / f"searched_{name}", 4, 3.0, seed=3, **HIDDEN[name][1])
-    v = search_among(robot, logs, name.partition("@")[0], *RIVALS[name]).verdict
+    v = search_among(robot, logs, effects.kind_of(name), *RIVALS[name]).verdict
     members = {e.name for e in (*v.effects, *v.tentative)} | {str(r["name"]) for r in v.rivals}
     if name in ("packet_loss", "gear_backlash@elbow"):
         # What is lost at random weighs as much as the mean change; when a gap closes hangs on all constants. Neither is misnamed.
@@ -176,5 +177,5 @@ def test_search_names_the_hidden_law_or_its_class(name, folder):
 def test_healthy_arm_agrees_among_the_laws(folder):
     robot = described(folder, "arm")
     logs = write_law_logs(folder / "healthy", 3, 3.0, seed=5)
-    v = search_among(robot, logs, *(name.partition("@")[0] for name in HIDDEN)).verdict
+    v = search_among(robot, logs, *(effects.kind_of(name) for name in HIDDEN)).verdict
     assert v.answer == "AGREES", v.text()

@@ -78,7 +78,8 @@ def test_candidates_as_likely_as_the_best_are_rivals_of_a_robot():
     lead = thresholds().torques.lead
     ranked = (at("payload@b2", 10.0), at("com_offset@b2", 10.0 + 0.9 * lead), at("body_mass@b2", 10.0 + 1.1 * lead))
     steps = [SimpleNamespace(accepted=True, ranked=ranked), SimpleNamespace(accepted=False, ranked=ranked[::-1])]
-    robot, fish = SimpleNamespace(torque_tolerance=1.0), SimpleNamespace()
+    robot, fish = object.__new__(RigidRobot), SimpleNamespace()
+    robot.joints, robot.active = 2, SimpleNamespace(effects=())
     found = lambda model: SimpleNamespace(near=SimpleNamespace(model=model), steps=steps)
     assert near_in_likelihood(found(robot), "payload@b2") == {"com_offset@b2"}
     assert near_in_likelihood(found(robot), "body_mass@b2") == set()

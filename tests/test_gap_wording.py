@@ -204,6 +204,8 @@ def test_explanations_are_ranked_by_probability_among_their_own_rivals():
     lists = [line for line in v.text().splitlines() if "P(best)" in line]
     assert lists[0].endswith("largest first: swirl 0.48, current shear 0.45, steady current 0.04")
     assert lists[1].endswith("largest first: command gain error 1.00, skin stiffness 0.00")
+    assert "a rival that wins none loses by too little to rule out" in lists[2]
+    assert "redraws" not in replace(v, rivals=()).text()
 
 
 def test_finalists_are_sorted_by_p_best_with_those_on_a_bound_last():

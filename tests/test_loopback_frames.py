@@ -5,71 +5,52 @@ import threading
 import numpy as np
 import pytest
 
-from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.errors import ConfigError
+from fishmj.deploy.camera import cameras
+from fishmj.deploy.camera.cameras import SharedFrames
 from fishmj.deploy.loopback import bodies
 from fishmj.deploy.loopback.camera import CameraTiming
 from fishmj.deploy.loopback.faults import parse
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.loopback.shared_frames import FrameWriter, SharedFrameReader
-
-
-@pytest.fixture
-def ring():
-    writer = FrameWriter(32, 24, 50.0, slots=3)
-    reader = SharedFrameReader(writer.name)
-    yield writer, reader
-    reader.close()
-    writer.close()
+from fishmj.deploy.loopback.shared_frames import FrameWriter
 
 
 def grey(value, size=(24, 32)):
     return np.full((*size, 3), value, np.uint8)
 
 
-def test_a_reader_gets_the_newest_frame_once_with_its_stamp(ring):
-    writer, reader = ring
-    assert reader.newest() is None and (reader.width, reader.height, reader.rate) == (32, 24, 50.0)
-    for k in range(5):
-        assert writer.write(grey(k), 10.0 + k) == k + 1
-    found = reader.newest()
-    assert (found.number, found.t) == (5, 14.0) and (found.image == 4).all()
-    assert reader.newest() is None
-    writer.write(grey(9), 20.0)
-    assert reader.newest().number == 6
+@pytest.fixture
+def ring():
+    writer = FrameWriter(32, 24, 50.0, slots=3)
+    reader = SharedFrames(writer.name)
+    reader.open()
+    yield writer, reader
+    reader.close()
+    writer.close()
 
 
-def test_a_frame_that_is_being_written_is_never_given(ring):
-    writer, reader = ring
-    writer.write(grey(1), 1.0)
-    slot = int(writer.header[4])
-    writer.numbers[slot][0] += 1  # as if the writer had come round and begun to write there
-    assert reader.newest() is None and reader.torn == 3
-    writer.numbers[slot][0] -= 1
-    assert reader.newest().number == 1
-
-
-def test_a_frame_that_changes_while_it_is_copied_is_never_given(ring):
+def test_a_frame_that_changes_while_it_is_copied_is_never_given(ring, monkeypatch):
+    """Frames whose copy takes so long that the writer laps the reader."""
     writer, reader = ring
     writer.write(grey(1), 1.0)
+    plain, laps = cameras.np.frombuffer, []
 
-    class Slow(list):
-        """Images whose copy takes so long that the writer laps the reader."""
+    def slowly(*place):
+        laps.append([writer.write(grey(100 + k), 2.0) for k in range(writer.slots)])
+        return plain(*place)
 
-        def __getitem__(self, slot):
-            for k in range(writer.slots):
-                writer.write(grey(100 + k), 2.0)
-            return super().__getitem__(slot)
-
-    plain, reader.images = reader.images, Slow(reader.images)
-    assert reader.newest() is None and reader.torn == 3
-    reader.images = plain
-    assert reader.newest().number == 1 + 3 * writer.slots
+    monkeypatch.setattr(cameras.np, "frombuffer", slowly)
+    assert reader.read(0.0) == [] and len(laps) == 3
+    monkeypatch.undo()
+    ((t, image),) = reader.read(0.0)
+    assert t == 2.0 and (image == 102).all()
 
 
 def test_no_torn_frame_under_a_fast_writer():
     """Each frame is of one colour; a torn one would have two."""
     writer = FrameWriter(320, 240, 50.0, slots=2)
-    reader, done, seen = SharedFrameReader(writer.name), threading.Event(), []
+    reader, done, seen = SharedFrames(writer.name), threading.Event(), []
+    reader.open()
 
     def write():
         for k in range(400):
@@ -79,41 +60,29 @@ def test_no_torn_frame_under_a_fast_writer():
     thread = threading.Thread(target=write)
     thread.start()
     while not done.is_set() or not seen:
-        if (found := reader.newest()) is not None:
-            seen.append(found)
+        seen += reader.read(0.0)
     thread.join()
-    assert all(found.image.min() == found.image.max() == (found.number - 1) % 256 for found in seen)
-    assert [found.number for found in seen] == sorted({found.number for found in seen})
+    assert all(image.min() == image.max() == t % 256 for t, image in seen)
+    assert [t for t, _ in seen] == sorted({t for t, _ in seen})
     reader.close()
     writer.close()
 
 
 def test_shared_memory_is_removed_when_the_writer_closes_not_a_reader(ring):
-    writer, reader = ring
-    SharedFrameReader(writer.name).close()
-    SharedFrameReader(writer.name).close()
-    name = writer.name
+    writer, _ = ring
+    for _ in range(2):
+        again = SharedFrames(writer.name)
+        again.open()
+        again.close()
     writer.close()
-    with pytest.raises(StoreError, match="no shared memory"):
-        SharedFrameReader(name)
+    with pytest.raises(ConfigError, match="no shared memory"):
+        SharedFrames(writer.name).open()
     writer.close()
 
 
-def test_what_is_no_ring_is_refused():
-    from multiprocessing.shared_memory import SharedMemory
-
-    other = SharedMemory(create=True, size=200)
-    try:
-        with pytest.raises(StoreError, match="no ring"):
-            SharedFrameReader(other.name)
-    finally:
-        other.close()
-        other.unlink()
+def test_a_ring_of_one_slot_and_an_image_of_another_size_are_refused(ring):
     with pytest.raises(ConfigError, match="2 slots"):
         FrameWriter(10, 10, 50.0, slots=1)
-
-
-def test_an_image_of_another_size_is_refused(ring):
     with pytest.raises(ConfigError, match="24, 32"):
         ring[0].write(grey(1, (32, 24)), 0.0)
 

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from fishmj.base.calib import calib_folder, read_toml
-from fishmj.base.errors import ConfigError, StoreError, UnknownName, UsageError
+from fishmj.base.errors import ConfigError, UnknownName, UsageError
+from fishmj.deploy.camera.cameras import SharedFrames
 from fishmj.deploy.loopback import bodies, loopback_command, loopback_server
 from fishmj.deploy.loopback.faults import FAULTS, parse
 from fishmj.deploy.loopback.lockstep import FixNoise, LockstepCamera, LockstepClock, LockstepTransport, PoseTracker
 from fishmj.deploy.loopback.loopback_server import LoopbackServer, ServeOptions
 from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, artist_of, calibration_of, make_robot
-from fishmj.deploy.loopback.shared_frames import SharedFrameReader
 from fishmj.deploy.protocols import fishmj1, mish
 from fishmj.deploy.protocols.messages import RobotInfo
 from studies.tracker.cases import GATES
@@ -125,18 +125,19 @@ def test_frames_reach_shared_memory_when_they_are_due(monkeypatch):
     made = LoopbackServer(ServeOptions(port=0, settings=LoopbackSettings(camera_latency=0.05)), clock)
     made.start = clock.t
     monkeypatch.setattr(loopback_server.time, "sleep", lambda seconds: setattr(clock, "t", clock.t + seconds))
-    reader = SharedFrameReader(made.ring.name)
+    reader = SharedFrames(made.ring.name)
+    reader.open()
     made.turn(0.0235)
     while not made._jobs.empty():
         made._show(made._jobs.get())
-    found = reader.newest()
+    ((t, image),) = reader.read(0.0)
     assert made.figures["frames"] == 2 and clock.t == pytest.approx(500.0 + 0.02 + 0.05, abs=0.0021)
-    assert found.t == pytest.approx(500.02, abs=0.0021) and found.image.shape == (720, 1280, 3) and found.image.std() > 1
+    assert t == pytest.approx(500.02, abs=0.0021) and image.shape == (720, 1280, 3) and image.std() > 1
     name = made.ring.name
     reader.close()
     made.close()
-    with pytest.raises(StoreError):
-        SharedFrameReader(name)
+    with pytest.raises(ConfigError):
+        SharedFrames(name).open()
 
 
 def test_the_command_reads_all_its_options_and_refuses_what_cannot_be(tmp_path):
@@ -170,15 +171,14 @@ def test_as_a_child_it_says_where_it_is_serves_and_ends_with_its_parent(tmp_path
     process = subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True, cwd=ROOT)
     told = json.loads(process.stdout.readline())
     assert told["protocol"] == "fishmj-1" and told["size"] == [1280, 720] and camera.is_file()
-    reader = SharedFrameReader(told["frames"])
+    reader = SharedFrames(told["frames"])
+    reader.open()
     host.settimeout(600.0)
     host.sendto(fishmj1.encode_hello(1, 0.0), ("127.0.0.1", told["robot_port"]))
     kinds = {fishmj1.decode(host.recv(2048)).kind for _ in range(4)}
     assert kinds == {fishmj1.Kind.INFO, fishmj1.Kind.TELEMETRY}
-    end = time.monotonic() + 600.0
-    while (found := reader.newest()) is None and time.monotonic() < end:
-        time.sleep(0.01)
-    assert found is not None and found.t < time.monotonic()
+    ((t, _),) = reader.wait(600.0)
+    assert t < time.monotonic()
     process.send_signal(signal.SIGKILL)
     process.wait()
     end = time.monotonic() + 600.0
@@ -186,8 +186,8 @@ def test_as_a_child_it_says_where_it_is_serves_and_ends_with_its_parent(tmp_path
         time.sleep(0.05)
     assert not _alive(told["pid"])
     reader.close()
-    with pytest.raises(StoreError):
-        SharedFrameReader(told["frames"])
+    with pytest.raises(ConfigError):
+        SharedFrames(told["frames"]).open()
     process.stdout.close()
 
 

@@ -12,9 +12,9 @@ from fishmj.gap.laboratory.virtual_robot import ClosedLoopRobot, generate, plant
 from fishmj.gap.laboratory.virtual_robot.chain import assemble
 from fishmj.gap.laboratory.virtual_robot.servo import stick_slip
 from fishmj.gap.laboratory.virtual_robot.simulate import at_rest, run, workspace
-from fishmj.gap.laboratory.virtual_robot.virtual_robot_figures import coast, steady
 from fishmj.gap.laboratory.virtual_robot.water import crossflow, trailing_edge
 from fishmj.log import excitation
+from studies.steady_gaits import coast, steady
 
 DEG = np.pi / 180
 STILL = np.zeros(3)
@@ -32,12 +32,12 @@ def swim(made, commands, start=STILL, push=STILL, seconds=None):
 
 
 def test_it_swims_forward_about_as_fast_as_the_first_robot(made):
-    assert 0.8 * 0.274 < steady(made, 1.0, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.274  # docs/simulate/water.md
-    assert 0.8 * 0.125 < steady(made, 0.5, 30 * DEG, 60 * DEG)["speed"] < 1.2 * 0.125
+    assert 0.8 * 0.274 < steady(made, 1.0, 60.0)["speed"] < 1.2 * 0.274  # docs/simulate/water.md
+    assert 0.8 * 0.125 < steady(made, 0.5, 60.0)["speed"] < 1.2 * 0.125
 
 
 def test_a_bias_turns_it_and_the_mirror_bias_turns_it_back(made):
-    left, right = (steady(made, 1.0, 30 * DEG, 60 * DEG, b * DEG)["turn"] for b in (-20, 20))
+    left, right = (steady(made, 1.0, 60.0, b)["turn"] for b in (-20, 20))
     assert left > 20 * DEG and left == pytest.approx(-right, rel=1e-3)
 
 

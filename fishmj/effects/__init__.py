@@ -12,7 +12,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter, RobotForm
+from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter, RobotForm, kind_of, site_of
 from fishmj.effects.stack import EffectStack
 
 
@@ -62,5 +62,7 @@ __all__ = [
     "catalogue",
     "get",
     "join",
+    "kind_of",
     "robot_catalogue",
+    "site_of",
 ]

@@ -5,6 +5,8 @@ Until that experiment is done, a verdict must name the class and not a member.
 
 from typing import NamedTuple
 
+from fishmj.effects.effect import kind_of, site_of
+
 
 class AmbiguityClass(NamedTuple):
     """One class. effects: entries of the catalogue; besides: causes outside the catalogue that look the same."""
@@ -91,10 +93,9 @@ CLASSES = (
 
 def containing(effect: str) -> tuple[AmbiguityClass, ...]:
     """The classes that an effect, also one at a site of a robot, belongs to."""
-    return tuple(c for c in CLASSES if effect.partition("@")[0] in c.effects)
+    return tuple(c for c in CLASSES if kind_of(effect) in c.effects)
 
 
 def together(one: str, other: str) -> AmbiguityClass | None:
     """The class that holds both effects, or None."""
-    name, _, site = other.partition("@")
-    return next((c for c in containing(one) if name in c.effects and one.partition("@")[2] == site), None)
+    return next((c for c in containing(one) if kind_of(other) in c.effects), None) if site_of(one) == site_of(other) else None

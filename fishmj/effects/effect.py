@@ -17,7 +17,18 @@ CLOCKS = ("command", "joint", "pose", "power", "velocity")  # what a transport d
 STREAMS = ("command", "flow", "seen")  # what a stochastic effect may draw
 # where an effect acts in a robot described in MJCF; base: of one that is fixed; thrusters: all actuators on sites together
 ROBOT_SITES = ("joint", "actuator", "body", "robot", "base", "thrusters")
+AT = "@"  # between the kind of an effect and its site on such a robot
 LAW_MATH = ("copysign", "cos", "exp", "pi", "sin")  # of `math`, in the law of an effect of such a robot
+
+
+def kind_of(name: str) -> str:
+    """The effect of the catalogue that a name is of: `payload` of `payload@forearm`."""
+    return name.partition(AT)[0]
+
+
+def site_of(name: str) -> str:
+    """The site of an effect: `forearm` of `payload@forearm`, "" without one."""
+    return name.partition(AT)[2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,8 +140,8 @@ class Effect:
         unplanted   why the second robot (gap/laboratory/virtual_robot/catalogue.py) does not hide it; "": it does
         planted     why it hides it in sizes that are not typical here; "": the ranges overlap
     robot: its form in a robot described in MJCF; None: it has none. An effect of such robots only has no parameters of its own.
-    stochastic: it changes the scatter between replicates, not their mean. Such an effect has one function
-        scatter(rng, p, record) -> record, drawn once a run on the record of its `stream` (stack.py).
+    stream: one of STREAMS, of an effect that is drawn once a run; it changes the scatter between replicates, not their mean. ""
+    of any other.
     """
 
     name: str
@@ -143,7 +154,6 @@ class Effect:
     confusions: tuple[Confusion, ...] = ()
     native: str = ""
     memory: tuple[float, ...] = ()
-    stochastic: bool = False
     rank: int = 0
     servo: Callable | None = None
     gear: Callable | None = None
@@ -156,7 +166,6 @@ class Effect:
     delays: dict[str, str] = field(default_factory=dict)
     drifts: dict[str, str] = field(default_factory=dict)
     stream: str = ""
-    scatter: Callable | None = None
     handed: tuple[str, ...] = ()
     one_sided: bool = False
     stores: bool = False
@@ -174,17 +183,19 @@ class Effect:
         unknown = {*self.delays.values(), *self.drifts.values(), *self.handed} - mine
         if unknown:
             raise ConfigError(f"effect {self.name}: delays or handed name {sorted(unknown)}, which are no parameters of it")
-        drawn = self.scatter is not None
-        if drawn != self.stochastic or drawn != (self.stream in STREAMS):
-            raise ConfigError(
-                f"effect {self.name}: a stochastic effect has scatter and a stream of {', '.join(STREAMS)}; no other has"
-            )
+        if self.stream not in ("", *STREAMS):
+            raise ConfigError(f"effect {self.name}: stream {self.stream!r}; choose one of {', '.join(STREAMS)}")
         if self.robot is not None and self.robot.site not in ROBOT_SITES:
             raise ConfigError(f"effect {self.name}: robot site {self.robot.site!r}; choose one of {', '.join(ROBOT_SITES)}")
         if not self.swims and self.robot is None:
             raise ConfigError(f"effect {self.name}: acts at no site")
         if self.memory and len(self.remembering) != 1:
             raise ConfigError(f"effect {self.name}: memory belongs to one site, got {self.sites}")
+
+    @property
+    def stochastic(self) -> bool:
+        """Returns True if it is drawn once a run."""
+        return bool(self.stream)
 
     @property
     def swims(self) -> bool:

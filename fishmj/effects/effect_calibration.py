@@ -68,8 +68,8 @@ def write(path: "str | Path", effects: "tuple[FittedEffect, ...] | list[FittedEf
     Raises ConfigError: as `read`; nothing is written then.
     """
     path = resolve(Path(path))
-    kept = _without_blocks(path.read_text(encoding="utf-8"))
-    text = "\n\n".join([kept.rstrip("\n"), *(_text(fitted) for fitted in effects)]) + "\n"
+    kept = without_tables(path.read_text(encoding="utf-8"), "[[effect]]", "[effect.", "[[effect.")
+    text = "\n\n".join([kept, *(_text(fitted) for fitted in effects)]) + "\n"
     parse(parse_toml(text, str(path)), str(path))
     return write_text(path, text)
 
@@ -137,13 +137,12 @@ def _text(fitted: FittedEffect) -> str:
     return "\n".join(lines)
 
 
-def _without_blocks(text: str) -> str:
-    """The text without its [[effect]] blocks; a block ends at the next table that is not part of it."""
+def without_tables(text: str, *heads: str) -> str:
+    """TOML text without the tables whose heads begin in one of these ways; each ends at the next table of another."""
     kept, inside = [], False
     for line in text.splitlines():
-        head = line.strip()
-        if head.startswith("["):
-            inside = head.startswith(("[[effect]]", "[effect.", "[[effect."))
+        if line.strip().startswith("["):
+            inside = line.strip().startswith(heads)
         if not inside:
             kept.append(line)
-    return "\n".join(kept)
+    return "\n".join(kept).rstrip("\n")

@@ -8,18 +8,15 @@
 Parameters and memory are flat lists of scalars or arrays in the order of `active.names` and `active.memory`: easy to carry
 through a compiled loop, a scan or a log.
 
-Two things happen outside a step. Commands pass the sites `command` along time, before any physics (`delivered`). Late or lost
-packets, gusts and sensor noise are drawn once a run, each with its own random numbers (`arrivals`, `gusts`, `noise`). They keep
-the mean of replicates (jitter shifts it by its own mean) and widen their scatter, so no site of the physics holds them.
+Commands pass the sites `command` along time, before any physics (`delivered`). Effects that are drawn once a run widen the
+scatter of replicates, so no site of the physics holds them.
 """
 
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from fishmj.effects.effect import Effect
-from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
+from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
 
 BASE = 2  # memory that is always there: current from the supply [A], time [s]
 
@@ -83,10 +80,6 @@ class EffectStack:
             if clock in slot.effect.drifts:
                 total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
         return total
-
-    def drawn(self, parameters, stream: str) -> list:
-        """(effect, its parameters) of the stochastic effects of a stream; see `arrivals`, `gusts`, `noise`."""
-        return [(s.effect, _values(s, parameters)) for s in self.slots if s.effect.stream == stream]
 
     def measure(self, xp, parameters, seen):
         """Applies the measurement effects to the record `seen`; parameters may be arrays that broadcast over its time axis."""
@@ -195,27 +188,3 @@ def delivered(xp, active: EffectStack, parameters, commands, h: float):
     joints = range(commands.shape[1])
     moments = [xp.stack([session.command(j, given[..., k, j], h) for j in joints], -1) for k in range(len(commands))]
     return xp.stack(moments, -2)
-
-
-def arrivals(active: EffectStack, parameters, t, commands, rng) -> tuple[np.ndarray, np.ndarray]:
-    """Times of arrival (T,) s and commands (T, J) rad, sent at the times t (T,) s with one parameter row (P,)."""
-    record = np.asarray(t, float), np.asarray(commands, float)
-    for effect, p in active.drawn(parameters, "command"):
-        record = effect.scatter(rng, p, record)
-    return record
-
-
-def gusts(active: EffectStack, parameters, t, rng) -> np.ndarray:
-    """(T, 2) m/s, world frame: velocity that turbulence adds to the water at the rising times t (T,) s."""
-    t = np.asarray(t, float)
-    total = np.zeros((len(t), 2))
-    for effect, p in active.drawn(parameters, "flow"):
-        total = total + effect.scatter(rng, p, t)
-    return total
-
-
-def noise(active: EffectStack, parameters, seen: SensorReadings, sigma: SensorReadings, rng) -> SensorReadings:
-    """`seen` with noise beyond that of the data sheets; sigma has their standard deviations, one number a channel."""
-    for effect, p in active.drawn(parameters, "seen"):
-        seen = effect.scatter(rng, p, (seen, sigma))
-    return seen

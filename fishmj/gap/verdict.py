@@ -144,8 +144,9 @@ class Verdict:
         for e in self.effects:
             lines.append(f"  {doubt}{sizes(e.name, e.parameters)}")
             lines += [f"    or, the same on this robot in any motion: {alike}" for alike in e.equals()]
-            lines += [f"    P(best), largest first: {', '.join(f'{title(n)} {p:.2f}' for n, p in self.standing(e))}"] * self.taken
+            lines += [f"    P(best), largest first: {self.ranking(e)}"] * self.taken
         if self.taken:
+            lines += [f"  {P_BEST}"] * bool(self.rivals)
             lines += [f"  counted in, not named: {sizes(n.name, n.parameters)}" for n in self.tentative]
             lines.append(f"  {self.told()}")
         for t in self.terms[:3]:
@@ -165,8 +166,13 @@ class Verdict:
         rivals = [(str(r["name"]), float(r["p_best"])) for r in mine]
         return sorted([(e.name, e.p_best), *rivals], key=lambda pair: -pair[1])
 
+    def ranking(self, e: NamedEffect) -> str:
+        """`standing` in words."""
+        return ", ".join(f"{title(n)} {p:.2f}" for n, p in self.standing(e))
+
 
 LIKELIHOOD = "the excess log likelihood"
+P_BEST = "P(best): share of redraws of these records that each one wins; a rival that wins none loses by too little to rule out"
 FLOOR = "mean square in units of the floor, 1 = agreement"
 LIKELIER = "makes records that it was not fitted to likelier, its formula's error granted, but their residual does not shrink"
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.progress import Bars, silent_bar
@@ -202,7 +203,7 @@ def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     """Veto for a robot in MJCF: torques that nothing explains get smaller where an effect acts, else it is not named."""
     model = inquiry.evidence.model
-    if not hasattr(model, "torque_tolerance"):
+    if not isinstance(model, RigidRobot):
         return verdict
     from fishmj.gap.search import unexplained_torque
 
@@ -216,7 +217,7 @@ def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     effects that draw, or of a command in steps: no prediction has the draws, or the moment of each jump.
     """
     model, found, most = inquiry.evidence.model, inquiry.found, thresholds().torques.floors
-    if verdict.answer not in ("NAMED", "CLASS") or not hasattr(model, "torque_tolerance"):
+    if verdict.answer not in ("NAMED", "CLASS") or not isinstance(model, RigidRobot):
         return verdict
     names = found.best.names
     stepped = any(needs_fine_value(x) for x in model.active.effects if x.name in names)

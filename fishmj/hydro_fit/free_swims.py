@@ -15,7 +15,8 @@ A figure passes at or below max(stated, 2 x the solver's own repeatability). Rep
 others with a nudged grid or a finer step, by the same measure.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -122,7 +123,7 @@ def judge(
     swims = FreeSwims(model, robot, records)
     got, n = errors(swims, swims.late)
     held = [r for r in records if flaps(r)]
-    got["thrust_error"], n["thrust_error"] = _thrust(model, robot, held), len(held)
+    got["thrust_error"], n["thrust_error"] = thrust_error(partial(model_force, model), robot, held), len(held)
     far = np.linalg.norm(swims.cruise_track.q[..., :2] - swims.cruise.q[:, 1:, :2], axis=-1)
     last = swims.cruise.mask.sum(1).astype(int) - 1
     got["freerun_position_error"] = float(far[np.arange(len(far)), last].mean())
@@ -187,13 +188,13 @@ def model_force(model: HydroModel, ch: planar_chain.Chain, rows: RegressionRows,
     return force if model.learnt is None else force + warm_up(ch, rows, model.base, model.learnt, tick).force
 
 
-def _thrust(model: HydroModel, robot: Robot, held: Sequence[SegmentRecord]) -> float:
-    """Mean error of the mean thrust of held fish, over the tow drag."""
+def thrust_error(force_of: Callable, robot: Robot, held: Sequence[SegmentRecord]) -> float:
+    """Mean error of the mean thrust of held fish, over the tow drag. force_of(chain, rows, tick): force of the model."""
     if not held:
         return float("nan")
-    ch, tick = planar_chain.chain_of(robot), held[0].tick
+    ch = planar_chain.chain_of(robot)
     rows = rows_of(ch, held)
-    force = model_force(model, ch, rows, tick)
+    force = force_of(ch, rows, held[0].tick)
     return float(np.abs(thrusts(rows, force) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))
 
 

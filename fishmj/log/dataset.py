@@ -184,8 +184,6 @@ def write_dataset(
     *,
     meta: dict | None = None,
     overwrite: bool = False,
-    form: str = "auto",
-    precision: str = "auto",
     page: Mapping | None = None,
 ) -> Path:
     """Writes trials as sub-folders, a page of weighings (measurements.py), and then the manifest, atomically.
@@ -197,7 +195,7 @@ def write_dataset(
     for name, trial in trials.items() if isinstance(trials, Mapping) else trials:
         if not name or Path(name).is_absolute() or ".." in Path(name).parts or name.startswith("."):
             raise LogError(f"{folder}: {name!r} cannot name a trial; use letters, digits, - and _")
-        write_trial(folder / name, trial, overwrite=overwrite, form=form, precision=precision)
+        write_trial(folder / name, trial, overwrite=overwrite)
         count += 1
     if not count:
         raise LogError(f"{folder}: no trials to write")

@@ -25,7 +25,7 @@ from fishmj.log.trial import Trial, stacked
 
 LENGTH = 0.5  # s, one window
 LABELS = ("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow")
-# Thresholds, chosen for a fish of half a metre with hobby servos; all of them are keyword arguments of `label`.
+# Thresholds, chosen for a fish of half a metre with hobby servos.
 STILL_JOINT = math.radians(1.0)  # rad, peak to peak within a window: a servo's dead band and one count of its encoder
 STILL_BODY = 0.01  # m/s
 STEP = math.radians(8.0)  # rad between two commands that follow each other
@@ -79,21 +79,16 @@ class Regimes:
 def label(
     trial: Trial,
     *,
-    length: float = LENGTH,
     beat: float | None = None,
     body: float = 0.54,
     tank: tuple[float, float] | None = None,
-    step: float = STEP,
-    turning: float = TURNING,
-    behind: float = BEHIND,
 ) -> Regimes:
     """Labels the windows of one trial.
 
     Args:
-        length: of a window, s. beat: period of the tail beat, s; None: from the gait table, else 1 s.
+        beat: period of the tail beat, s; None: from the gait table, else 1 s.
         body: length of the robot, m.
         tank: half width in x and in y, m, centred on the origin; without it near_wall is not available.
-        step: least jump of a command, rad; turning: rad/s; behind: joint error that indicates a torque limit, rad.
 
     Raises LogError: the trial is shorter than one window.
     """
@@ -101,22 +96,22 @@ def label(
     if beat is None:
         frequency = float(np.median(trial.tables.get("gait", {}).get("frequency", np.ones(1))))
         beat = 1.0 / frequency if frequency > 0 else 1.0
-    count = int((last - first) / length + 1e-9)
+    count = int((last - first) / LENGTH + 1e-9)
     if count < 1:
-        raise LogError(f"trial {trial.name or '(in memory)'}: {last - first:.3f} s long; one window takes {length:g} s")
-    start = first + length * np.arange(count)
-    windows = _Windows(trial, start, length, beat)
+        raise LogError(f"trial {trial.name or '(in memory)'}: {last - first:.3f} s long; one window takes {LENGTH:g} s")
+    start = first + LENGTH * np.arange(count)
+    windows = _Windows(trial, start, beat)
     labels: dict[str, np.ndarray | None] = {
-        **windows.of_command(step),
-        **windows.of_joints(behind),
-        **windows.of_body(turning),
+        **windows.of_command(),
+        **windows.of_joints(),
+        **windows.of_body(),
         "near_wall": windows.near_wall(tank, body),
         "reversing_flow": windows.reversing_flow(),
     }
     known = tuple(name for name in LABELS if labels.get(name) is not None)
     is_ = {name: np.zeros(count, bool) if (found := labels.get(name)) is None else found for name in LABELS}
     session = np.minimum((SESSIONS * np.arange(count)) // count, SESSIONS - 1)
-    return Regimes(start, start + length, is_, windows.octant(), session, windows.battery(), known)
+    return Regimes(start, start + LENGTH, is_, windows.octant(), session, windows.battery(), known)
 
 
 def _span(trial: Trial) -> tuple[float, float]:
@@ -128,8 +123,8 @@ def _span(trial: Trial) -> tuple[float, float]:
 class _Windows:
     """Signals of one trial, reduced to one figure a window; None for a missing table."""
 
-    def __init__(self, trial: Trial, start: np.ndarray, length: float, beat: float):
-        self.trial, self.start, self.length, self.beat = trial, start, length, beat
+    def __init__(self, trial: Trial, start: np.ndarray, beat: float):
+        self.trial, self.start, self.beat = trial, start, beat
         self.command = self._angles("cmd", "c#")
         self.joint = self._angles("joint", "j#") or self._angles("truth", "j#")
         pose = trial.tables.get("pose") or trial.tables.get("truth")
@@ -151,8 +146,8 @@ class _Windows:
 
     def _over(self, t: np.ndarray, values: np.ndarray, reduce, reach: float = 0.0) -> np.ndarray:
         """(W,) `reduce` of the rows of each window, widened to `reach` s around its middle; NaN without rows."""
-        half = 0.5 * max(self.length, reach)
-        middle = self.start + 0.5 * self.length
+        half = 0.5 * max(LENGTH, reach)
+        middle = self.start + 0.5 * LENGTH
         low, high = np.searchsorted(t, middle - half), np.searchsorted(t, middle + half)
         return np.array([reduce(values[a:b]) if b > a else np.nan for a, b in zip(low, high, strict=True)])
 
@@ -165,31 +160,31 @@ class _Windows:
             speed = np.abs(self._over(table["t"], table["surge"], np.mean, self.beat))
             return speed, self._over(table["t"], table["yaw_rate"], np.mean, self.beat) if "yaw_rate" in table else None
         t, x, y, yaw = self.pose
-        reach = max(self.beat, self.length)
-        middle = self.start + 0.5 * self.length
+        reach = max(self.beat, LENGTH)
+        middle = self.start + 0.5 * LENGTH
         before, after = np.clip(middle - reach / 2, t[0], t[-1]), np.clip(middle + reach / 2, t[0], t[-1])
         apart = np.maximum(after - before, 1e-9)
         moved = [np.interp(after, t, v) - np.interp(before, t, v) for v in (x, y, yaw)]
         return np.hypot(moved[0], moved[1]) / apart, moved[2] / apart
 
-    def of_command(self, step: float) -> dict[str, np.ndarray | None]:
-        """Label joint_step: neighbouring commands that differ by more than `step`, faster than in a beat."""
+    def of_command(self) -> dict[str, np.ndarray | None]:
+        """Label joint_step: neighbouring commands that differ by more than `STEP`, faster than in a beat."""
         if self.command is None:
             return {"joint_step": None}
         t, c = self.command
         jump = np.max(np.abs(np.diff(c, axis=0)), axis=1, initial=0.0)
         usual = np.median(jump) if len(jump) else 0.0  # a beat moves a little in every row, a step in one
         high = self._over(t[1:], jump, np.max)
-        return {"joint_step": np.nan_to_num(high) > max(step, 4 * usual)}
+        return {"joint_step": np.nan_to_num(high) > max(STEP, 4 * usual)}
 
-    def of_joints(self, behind: float) -> dict[str, np.ndarray | None]:
+    def of_joints(self) -> dict[str, np.ndarray | None]:
         out: dict[str, np.ndarray | None] = {"creep": None, "torque_limited": None}
         if self.joint is None:
             return out
         t, q = self.joint
         table = self.trial.tables.get("joint", {})
         rate = stacked(table, "w#") if "w1" in table else np.gradient(q, t, axis=0) if len(t) > 1 else np.zeros_like(q)
-        fastest = self._over(t, np.max(np.abs(rate), axis=1), _ninetieth)
+        fastest = self._over(t, np.max(np.abs(rate), axis=1), lambda some: float(np.quantile(some, 0.9)))
         moved = self._over(t, q, _half_range)
         out["creep"] = (2 * moved > STILL_JOINT) & (fastest < CREEP)
         if self.command is not None and self.command[1].shape[1] == q.shape[1]:
@@ -197,19 +192,19 @@ class _Windows:
             error = np.abs(wanted - q)
             sent = self.trial.tables["cmd"]
             on = _held((self.command[0], stacked(sent, "on#")), t) if "on1" in sent else 1.0
-            stuck = np.any((error > behind) & (np.abs(rate) < SLUGGISH) & (np.asarray(on) > 0.5), axis=1)
+            stuck = np.any((error > BEHIND) & (np.abs(rate) < SLUGGISH) & (np.asarray(on) > 0.5), axis=1)
             out["torque_limited"] = np.nan_to_num(self._over(t, stuck.astype(float), np.mean)) > 0.5
         return out
 
-    def of_body(self, turning: float) -> dict[str, np.ndarray | None]:
+    def of_body(self) -> dict[str, np.ndarray | None]:
         out: dict[str, np.ndarray | None] = dict.fromkeys(("rest", "coast", "steady_swim", "ramp"))
-        out["turn"] = None if self.spin is None else np.abs(np.nan_to_num(self.spin)) > turning
+        out["turn"] = None if self.spin is None else np.abs(np.nan_to_num(self.spin)) > TURNING
         if self.amplitude is None or self.stroke is None:
             return out
         still = self.stroke < 0.5 * STILL_JOINT
         size = np.nan_to_num(self.amplitude)
         beats = size > BEATING
-        lag = max(round(self.beat / self.length), 1)  # windows in a beat
+        lag = max(round(self.beat / LENGTH), 1)  # windows in a beat
         earlier = np.concatenate([np.full(min(lag, len(size)), np.nan), size[:-lag]])[: len(size)]
         change = np.abs(size - earlier) / np.maximum(np.maximum(size, earlier), 1e-9)
         out["ramp"] = (beats | (np.nan_to_num(earlier) > BEATING)) & (np.nan_to_num(change) > CHANGE)
@@ -265,7 +260,3 @@ def _held(table: tuple[np.ndarray, np.ndarray], t: np.ndarray) -> np.ndarray:
 
 def _half_range(values: np.ndarray) -> float:
     return float(0.5 * np.max(np.ptp(values, axis=0)))
-
-
-def _ninetieth(values: np.ndarray) -> float:
-    return float(np.quantile(values, 0.9))

@@ -46,15 +46,12 @@ class Localiser(Protocol):
 
     def open(self) -> None:
         """Opens the camera. Raises ConfigError if it is not available."""
-        ...
 
     def fixes(self, now: float) -> list[Fix]:
         """Fixes found since the last call, oldest first."""
-        ...
 
     def close(self) -> None:
         """Closes the camera."""
-        ...
 
 
 class Repeats:

@@ -105,10 +105,7 @@ def options() -> console.Parser:
 
 
 def main(argv: list[str]) -> int:
-    """The command. Raises UnknownName, ConfigError: an impossible tag or board, or one too large for every sheet;
-
-    MissingExtra.
-    """
+    """The command. Raises UnknownName, MissingExtra; ConfigError: an impossible tag or board, or one that fits on no sheet."""
     args = options().parse_args(argv)
     if args.out.suffix.lower() != ".pdf":
         raise ConfigError(f"--out {args.out}: print-marks writes a PDF; name it FILE.pdf")

@@ -63,35 +63,27 @@ class RobotLink(Protocol):
 
     def open(self) -> None:
         """Opens the transport."""
-        ...
 
     def hello(self, now: float) -> None:
         """Asks the robot to identify itself."""
-        ...
 
     def arm(self, now: float, hold: float, neutral: float) -> None:
         """Requests torque; hold, neutral: the watchdog's times, s."""
-        ...
 
     def disarm(self, now: float) -> None:
         """Requests torque off."""
-        ...
 
     def send(self, joint: np.ndarray, now: float) -> Sent:
         """Commands joints (J,) rad."""
-        ...
 
     def receive(self, now: float) -> list[Received]:
         """Packets that arrived since the last call."""
-        ...
 
     def forget(self) -> None:
         """Resets the memory of earlier packets, for a robot that may have restarted."""
-        ...
 
     def close(self) -> None:
         """Closes the transport."""
-        ...
 
     def silence(self) -> str:
         """Reason for the silence of the robot, "" if no other is known."""

@@ -30,22 +30,18 @@ class PoseFix(Protocol):
     @property
     def t(self) -> float:
         """Time of exposure, s."""
-        ...
 
     @property
     def x(self) -> float:
         """x in the tank, m."""
-        ...
 
     @property
     def y(self) -> float:
         """y in the tank, m."""
-        ...
 
     @property
     def yaw(self) -> float:
         """Heading in the tank, rad."""
-        ...
 
 
 class Pose(NamedTuple):

@@ -49,19 +49,15 @@ class Listener(Protocol):
 
     def command(self, t: float, joint: np.ndarray) -> None:
         """Receives a sent command."""
-        ...
 
     def heard(self, t: float, packet: Telemetry) -> None:
         """Receives a packet of the robot."""
-        ...
 
     def fix(self, pose: Pose) -> None:
         """Receives an accepted fix."""
-        ...
 
     def event(self, event: Event) -> None:
         """Receives a change of state."""
-        ...
 
 
 class RowBuffer:

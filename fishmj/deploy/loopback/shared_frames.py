@@ -5,11 +5,11 @@
 
 `newest` is the slot of the newest complete frame, -1 before the first. `captured` is on the machine's monotonic clock, s.
 `number` is 2 n of the n-th frame, from n = 1, and odd while the slot is being written. A reader that finds an odd number, or
-another one after copying, drops the torn frame (a sequence lock). Slots follow each other without gaps, 16 + 3 W H bytes each.
+another one after copying, drops the torn frame (a sequence lock), as `camera.cameras.SharedFrames` does. Slots follow each
+other without gaps, 16 + 3 W H bytes each.
 """
 
-from multiprocessing import resource_tracker, shared_memory
-from typing import NamedTuple
+from multiprocessing import shared_memory
 
 import numpy as np
 
@@ -19,36 +19,10 @@ MAGIC = 0x464D4A46  # "FMJF"
 FIELDS = 8
 HEADER, SLOT = 8 * FIELDS, 16  # bytes
 SLOTS = 6
-_NEWEST, _RATE = 4, 5
+_NEWEST = 4
 
 
-class SharedFrame(NamedTuple):
-    """One frame."""
-
-    number: int  # from 1
-    t: float  # s, when it was captured
-    image: np.ndarray  # (H, W, 3) uint8 BGR
-
-
-class _Ring:
-    """Views of the memory."""
-
-    def __init__(self, memory: shared_memory.SharedMemory, width: int, height: int, slots: int):
-        self.memory, self.width, self.height, self.slots = memory, width, height, slots
-        self.header = np.ndarray((FIELDS,), np.int64, memory.buf)
-        step = SLOT + 3 * width * height
-        begins = [HEADER + k * step for k in range(slots)]
-        self.numbers = [np.ndarray((1,), np.int64, memory.buf, begin) for begin in begins]
-        self.stamps = [np.ndarray((1,), np.float64, memory.buf, begin + 8) for begin in begins]
-        self.images = [np.ndarray((height, width, 3), np.uint8, memory.buf, begin + SLOT) for begin in begins]
-
-    def close(self) -> None:
-        """Detaches from the memory; may be called twice."""
-        self.header, self.numbers, self.stamps, self.images = np.zeros(FIELDS, np.int64), [], [], []
-        self.memory.close()
-
-
-class FrameWriter(_Ring):
+class FrameWriter:
     """Makes the ring and owns it.
 
     Args:
@@ -69,8 +43,13 @@ class FrameWriter(_Ring):
             memory = shared_memory.SharedMemory(create=True, size=size)
         except OSError as error:
             raise StoreError(f"frames: no shared memory of {size / 1e6:.0f} MB: {error.strerror or error}") from error
-        super().__init__(memory, width, height, slots)
+        self.memory, self.width, self.height, self.slots = memory, width, height, slots
         self.name, self.count = memory.name, 0
+        self.header = np.ndarray((FIELDS,), np.int64, memory.buf)
+        begins = [HEADER + k * (SLOT + 3 * width * height) for k in range(slots)]
+        self.numbers = [np.ndarray((1,), np.int64, memory.buf, begin) for begin in begins]
+        self.stamps = [np.ndarray((1,), np.float64, memory.buf, begin + 8) for begin in begins]
+        self.images = [np.ndarray((height, width, 3), np.uint8, memory.buf, begin + SLOT) for begin in begins]
         self.header[1:] = (width, height, slots, -1, round(1000 * rate), 0, 0)
         self.header[0] = MAGIC  # last: a reader that comes early finds no ring
 
@@ -99,52 +78,10 @@ class FrameWriter(_Ring):
         return self.count
 
     def close(self) -> None:
-        """Returns the memory to the machine; readers keep their mapping."""
-        super().close()
+        """Returns the memory to the machine; readers keep their mapping. May be called twice."""
+        self.header, self.numbers, self.stamps, self.images = np.zeros(FIELDS, np.int64), [], [], []
+        self.memory.close()
         try:
             self.memory.unlink()
         except FileNotFoundError:
             pass  # somebody has cleaned up
-
-
-class SharedFrameReader(_Ring):
-    """Reads a ring of another process. Raises StoreError: no ring of that name, or something else."""
-
-    def __init__(self, name: str):
-        memory = _attach(name)
-        header = np.ndarray((FIELDS,), np.int64, memory.buf).copy() if memory.size >= HEADER else np.zeros(FIELDS, np.int64)
-        magic, width, height, slots = (int(value) for value in header[:4])
-        sound = magic == MAGIC and 1 <= width <= 16384 and 1 <= height <= 16384 and slots >= 2
-        if not sound or memory.size < HEADER + slots * (SLOT + 3 * width * height):
-            memory.close()
-            raise StoreError(f"frames: shared memory {name[:60]!r} holds no ring of camera frames")
-        super().__init__(memory, width, height, slots)
-        self.rate, self.torn, self._last = header[_RATE] / 1000.0, 0, 0
-
-    def newest(self) -> SharedFrame | None:
-        """The newest frame, if it was not returned before; None also if the writer was faster three times in a row."""
-        for _ in range(3):
-            slot = int(self.header[_NEWEST])
-            if not 0 <= slot < self.slots:
-                return None
-            before = int(self.numbers[slot][0])
-            if before % 2 == 0 and before // 2 == self._last:
-                return None
-            found = SharedFrame(before // 2, float(self.stamps[slot][0]), self.images[slot].copy())
-            if before % 2 == 0 and int(self.numbers[slot][0]) == before:
-                self._last = found.number
-                return found
-            self.torn += 1
-        return None
-
-
-def _attach(name: str) -> shared_memory.SharedMemory:
-    """The memory of that name, not owned: Python 3.11 and 3.12 would otherwise remove it when this process ends."""
-    register = resource_tracker.register
-    resource_tracker.register = lambda *_: None
-    try:
-        return shared_memory.SharedMemory(name=name)
-    except (OSError, ValueError) as error:
-        raise StoreError(f"frames: no shared memory {name[:60]!r}: {getattr(error, 'strerror', '') or error}") from error
-    finally:
-        resource_tracker.register = register

@@ -70,10 +70,31 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-class Protocol2:
+class _Framing:
+    """Header and length of packets. known: bytes after which the length of the rest is known. least: bytes of a packet."""
+
+    header: bytes
+    known: int
+    least: int
+
+    def size(self, buffer: bytearray, at: int) -> int | None:
+        """Length of the packet that may begin at `at`; see `FrameReader`."""
+        there, servo = len(buffer) - at, at + len(self.header)
+        head = bytes(buffer[at:servo])
+        if head != self.header[: len(head)] or servo < len(buffer) and buffer[servo] > BROADCAST:
+            return 0
+        if there < self.known:
+            return None
+        size = self.known + int.from_bytes(buffer[servo + 1 : at + self.known], "little")
+        if not self.least <= size <= MOST_BYTES:
+            return 0
+        return size if there >= size else None
+
+
+class Protocol2(_Framing):
     """Packets of protocol 2.0."""
 
-    header, most_id = b"\xff\xff\xfd\x00", 252
+    header, most_id, known, least = b"\xff\xff\xfd\x00", 252, 7, 10
 
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
         """A packet; error: of STATUS only. Raises ProtocolError: an impossible id or length."""
@@ -98,19 +119,6 @@ class Protocol2:
             raise ProtocolError("a status packet without an error byte")
         return Packet(packet[4], instruction, body[1 + reply :], body[1] if reply else 0)
 
-    def size(self, buffer: bytearray, at: int) -> int | None:
-        """Length of the packet that may begin at `at`; see `FrameReader`."""
-        there = len(buffer) - at
-        head = bytes(buffer[at : at + 4])
-        if head != self.header[: len(head)] or there > 4 and buffer[at + 4] > BROADCAST:
-            return 0
-        if there < 7:
-            return None
-        size = 7 + (buffer[at + 5] | buffer[at + 6] << 8)
-        if not 10 <= size <= MOST_BYTES:
-            return 0
-        return size if there >= size else None
-
     def read(self, servos: Sequence[int], address: int, count: int) -> bytes:
         """READ of one servo, SYNC_READ of several: `count` bytes from `address`."""
         span = struct.pack("<HH", address, count)
@@ -134,10 +142,10 @@ class Protocol2:
         return packet.data[4:]
 
 
-class Protocol1:
+class Protocol1(_Framing):
     """Packets of protocol 1.0."""
 
-    header, most_id = b"\xff\xff", 253
+    header, most_id, known, least = b"\xff\xff", 253, 4, 6
 
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
         """Packet, as of `Protocol2.encode`."""
@@ -159,19 +167,6 @@ class Protocol1:
         if servo == BROADCAST or length == 4:
             return Packet(servo, _instruction(what), data)
         return Packet(servo, Instruction.STATUS, data, what)
-
-    def size(self, buffer: bytearray, at: int) -> int | None:
-        """Length of the packet that may begin at `at`; see `FrameReader`."""
-        there = len(buffer) - at
-        head = bytes(buffer[at : at + 2])
-        if head != self.header[: len(head)] or there > 2 and buffer[at + 2] > BROADCAST:
-            return 0
-        if there < 4:
-            return None
-        size = 4 + buffer[at + 3]
-        if not 6 <= size <= MOST_BYTES:
-            return 0
-        return size if there >= size else None
 
     def read(self, servos: Sequence[int], address: int, count: int) -> bytes:
         """READ of one servo: `count` bytes from `address`, not two."""

@@ -12,7 +12,6 @@ class BusFrame(Protocol):
     @property
     def reply(self) -> bool:
         """Returns True if a servo sent it."""
-        ...
 
 
 F = TypeVar("F", bound=BusFrame)

@@ -43,6 +43,8 @@ MOST_ANGLE = 3.1415927410125732  # rad, pi as a float32: what is sent can be rea
 MOST_SPEED = 50.0  # rad/s
 MOST_VOLTAGE = 64.0  # V; exact as a float32
 MOST_TEMPERATURE = 255.0  # deg C, either way
+ANGLES, SPEEDS = (-MOST_ANGLE, MOST_ANGLE, "joint"), (0.0, MOST_SPEED, "speed", " rad/s")  # what a packet may hold
+VOLTAGES, TEMPERATURES = (0.0, MOST_VOLTAGE, "servo voltage", " V"), (-MOST_TEMPERATURE, MOST_TEMPERATURE, "temperature")
 _INT_SCALE = 4  # counts a degree in 0.1.0: the whole part of 1000 / 240
 
 
@@ -58,13 +60,13 @@ def encode_command(joint: Sequence[float], speed: Sequence[float] | None = None)
     speeds = (0.0,) * JOINTS if speed is None else tuple(speed)
     if len(joint) != JOINTS or len(speeds) != JOINTS:
         raise ProtocolError(f"command of {len(joint)} joints and {len(speeds)} speeds; this robot has {JOINTS}")
-    return DOWNLINK.pack(*_checked(joint, MOST_ANGLE, "joint"), *_speeds(speeds))
+    return DOWNLINK.pack(*_checked(joint, *ANGLES), *_checked(speeds, *SPEEDS))
 
 
 def decode_command(data: bytes) -> Downlink:
     """The command in a datagram. Raises ProtocolError for any bytes that are no command, and no other error."""
     values = DOWNLINK.unpack(_sized(data, DOWNLINK.size, "command"))
-    return Downlink(_checked(values[:3], MOST_ANGLE, "joint"), _speeds(values[3:]))
+    return Downlink(_checked(values[:3], *ANGLES), _checked(values[3:], *SPEEDS))
 
 
 def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmware = "fixed") -> bytes:
@@ -79,9 +81,9 @@ def encode_telemetry(telemetry: Telemetry, ids: Sequence[int], firmware: Firmwar
     volts, degrees = it.servo_voltage or (0.0,) * JOINTS, it.temperature or (0.0,) * JOINTS
     if {len(it.joint), len(ids), len(volts), len(degrees)} != {JOINTS}:
         raise ProtocolError(f"telemetry of {len(it.joint)} joints and {len(ids)} servo ids; this robot has {JOINTS} of each")
-    read = [reading(angle, firmware) for angle in _checked(it.joint, MOST_ANGLE, "joint")]
-    whole = [round(value) for value in _checked(degrees, MOST_TEMPERATURE, "temperature")]
-    return UPLINK.pack(*_ids(ids), *read, *_volts(volts), *whole)
+    read = [reading(angle, firmware) for angle in _checked(it.joint, *ANGLES)]
+    whole = [round(value) for value in _checked(degrees, *TEMPERATURES)]
+    return UPLINK.pack(*_ids(ids), *read, *_checked(volts, *VOLTAGES), *whole)
 
 
 def decode_telemetry(data: bytes) -> Telemetry:
@@ -91,8 +93,8 @@ def decode_telemetry(data: bytes) -> Telemetry:
     """
     values = UPLINK.unpack(_sized(data, UPLINK.size, "telemetry"))
     _ids(values[:3])
-    degrees = _checked([float(value) for value in values[9:]], MOST_TEMPERATURE, "temperature")
-    return Telemetry(_checked(values[3:6], MOST_ANGLE, "joint"), servo_voltage=_volts(values[6:9]), temperature=degrees)
+    degrees = _checked([float(value) for value in values[9:]], *TEMPERATURES)
+    return Telemetry(_checked(values[3:6], *ANGLES), servo_voltage=_checked(values[6:9], *VOLTAGES), temperature=degrees)
 
 
 def commanded(joint: float, firmware: Firmware = "fixed") -> float:
@@ -124,21 +126,9 @@ def _sized(data: bytes, size: int, what: str) -> bytes:
     return data
 
 
-def _checked(values: Sequence[float], most: float, what: str) -> tuple[float, ...]:
-    if not all(-most <= value <= most for value in values):  # nan is not, either
-        raise ProtocolError(f"{what} {tuple(values)}; expected -{most:g} to {most:g}")
-    return tuple(float(value) for value in values)
-
-
-def _speeds(values: Sequence[float]) -> tuple[float, ...]:
-    if not all(0.0 <= value <= MOST_SPEED for value in values):
-        raise ProtocolError(f"speed {tuple(values)}; expected 0 to {MOST_SPEED:g} rad/s")
-    return tuple(float(value) for value in values)
-
-
-def _volts(values: Sequence[float]) -> tuple[float, ...]:
-    if not all(0.0 <= value <= MOST_VOLTAGE for value in values):
-        raise ProtocolError(f"servo voltage {tuple(values)}; expected 0 to {MOST_VOLTAGE:g} V")
+def _checked(values: Sequence[float], low: float, high: float, what: str, unit: str = "") -> tuple[float, ...]:
+    if not all(low <= value <= high for value in values):  # nan is not, either
+        raise ProtocolError(f"{what} {tuple(values)}; expected {low:g} to {high:g}{unit}")
     return tuple(float(value) for value in values)
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.tracker.alignment import GRAIN, Aligned, Patch, Pattern, align
 from fishmj.deploy.tracker.calibration import Calibration
-from fishmj.deploy.tracker.fix import Fix, PosePredictor, placed, rigid, widened, wrapped
-from fishmj.deploy.tracker.frames import same_size
+from fishmj.deploy.tracker.fix import PosePredictor, placed, rigid
+from fishmj.deploy.tracker.mark_tracker import MarkTracker
 from fishmj.mjcf.from_above import opencv
 
 FAMILIES = {"36h11": ("DICT_APRILTAG_36h11", 587), "16h5": ("DICT_APRILTAG_16h5", 30)}  # name in cv2.aruco, tags that there are
@@ -48,7 +48,7 @@ def code_of(family: str, number: int) -> np.ndarray:
 
 
 @dataclass
-class AprilTagTracker:
+class AprilTagTracker(MarkTracker):
     """Finds one tag.
 
     Attributes:
@@ -90,37 +90,25 @@ class AprilTagTracker:
         settings.minMarkerPerimeterRate, settings.maxMarkerPerimeterRate = 0.01, 8.0  # the size is checked in metres
         settings.minOtsuStdDev = 10.0
         self.reader = cv2.aruco.ArucoDetector(dictionary, settings)
-        half = 0.5 * self.size
-        self.square = self._on_body(np.array([(-half, half), (half, half), (half, -half), (-half, -half)]))  # OpenCV's order
+        half, self.half = 0.5 * self.size, 0.9 * self.size
+        self.outline = self._on_body(np.array([(-half, half), (half, half), (half, -half), (-half, -half)]))  # OpenCV's order
         self.pattern = self._pattern(cv2)
 
     def reset(self) -> None:
-        """Forgets the last pose of the tag."""
-        self.motion.clear()
+        """Forgets the last pose of the tag, and its light."""
+        super().reset()
         self.light = None
 
-    def locate(self, image: np.ndarray, t: float) -> Fix | None:
-        """The tag in a frame (H, W, 3) uint8 BGR stamped t [s]; None if it is not visible, or if there are two.
+    def _near(self, image: np.ndarray, pose: np.ndarray, window: tuple[int, int, int, int]) -> Aligned | None:
+        return self._lit(self._followed(image, pose) or self._read(image, window))
 
-        Raises ConfigError: an image of another size than the calibration's.
-        """
-        same_size(image, self.calibration)
-        stamp = t - self.calibration.lag
-        expected = self.motion.expected(stamp)
-        found = None
-        if expected is not None:
-            found = self._followed(image, expected[0])
-            found = found or self._read(image, self._window(*expected[:2]))
-        found = found or self._read(image, (0, 0, *self.calibration.size), whole=True)
-        if found is None:
-            return None
-        quality = float(np.clip((found.match - 0.5) / 0.45, 0, 1) * min(1.0, found.seen))
-        outline = self.calibration.to_pixel(placed(self.square, found.pose), self.height)
-        x, y, yaw = found.pose
-        fix = Fix(stamp, float(x), float(y), wrapped(yaw), widened(found.covariance, self.unseen), quality, outline)
-        self.motion.add(fix)
-        self.light = found.light
-        return fix
+    def _anywhere(self, image: np.ndarray) -> Aligned | None:
+        return self._lit(self._read(image, (0, 0, *self.calibration.size), whole=True))
+
+    def _lit(self, found: Aligned | None) -> Aligned | None:
+        """The tag as found; its light is kept for the next frame."""
+        self.light = self.light if found is None else found.light
+        return found
 
     def reads_mirrored(self, image: np.ndarray) -> bool:
         """Returns True if the tag shows in the mirror image of a frame (H, W, 3): a mirrored tag is no member of its family."""
@@ -171,7 +159,7 @@ class AprilTagTracker:
 
     def _fits(self, quad: np.ndarray, within: float = WITHIN) -> np.ndarray | None:
         """The pose (3,) of corners (4, 2) px in OpenCV's order; None if they are not a square of the tag's size."""
-        pose, ratio, left = rigid(self.square, self.calibration.to_tank(quad, self.height))
+        pose, ratio, left = rigid(self.outline, self.calibration.to_tank(quad, self.height))
         return pose if abs(ratio - 1) < within and left < within * self.size else None
 
     def _aligned(
@@ -191,14 +179,6 @@ class AprilTagTracker:
             return None
         found = align(patch, self.pattern, pose, self.calibration, coarse=coarse, light=light)
         return found if found is not None and found.match >= least and found.seen >= self.least else None
-
-    def _window(self, pose: np.ndarray, reach: float) -> tuple[int, int, int, int]:
-        """Left, top, right, bottom px of the region that may hold the tag."""
-        middle = self.calibration.to_pixel(placed(self.square, pose).mean(0), self.height)[0]
-        half = (0.9 * self.size + reach) / self.scale
-        low, high = np.floor(middle - half).astype(int), np.ceil(middle + half).astype(int) + 1
-        width, height = self.calibration.size
-        return max(low[0], 0), max(low[1], 0), min(high[0], width), min(high[1], height)
 
     def _on_body(self, points: np.ndarray) -> np.ndarray:
         """Points (n, 2) of the printed tag, x right and y up, in the body frame."""
@@ -222,7 +202,7 @@ class AprilTagTracker:
         inside = (np.abs(across) <= 0.5 * (self.size + side)) & (np.abs(up) <= 0.5 * (self.size + side))
         values = cv2.resize(values, (int(columns), int(rows)), interpolation=cv2.INTER_AREA)
         inside = inside[FINE // 2 :: FINE, FINE // 2 :: FINE]
-        return Pattern(values, inside, low, self.square, self.height, SPOT * self.scale)
+        return Pattern(values, inside, low, self.outline, self.height, SPOT * self.scale)
 
 
 def _patch(image: np.ndarray, corners: np.ndarray, margin: int, white: float) -> Patch | None:

@@ -18,8 +18,8 @@ import numpy as np
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.tracker.alignment import GRAIN, Aligned, Patch, Pattern, align
 from fishmj.deploy.tracker.calibration import Calibration
-from fishmj.deploy.tracker.fix import Fix, PosePredictor, placed, widened, wrapped
-from fishmj.deploy.tracker.frames import same_size
+from fishmj.deploy.tracker.fix import PosePredictor, placed, wrapped
+from fishmj.deploy.tracker.mark_tracker import MarkTracker
 from fishmj.mjcf.from_above import opencv
 
 DARK = 24.0  # grey levels: keeps the noise of dark pixels from counting as colour
@@ -65,7 +65,7 @@ class Blob(NamedTuple):
 
 
 @dataclass
-class ColourTracker:
+class ColourTracker(MarkTracker):
     """Finds one red head with its yellow neck.
 
     Attributes:
@@ -100,6 +100,7 @@ class ColourTracker:
                 raise ConfigError(f"{name} = {getattr(self, name):g}, expected 0.05 to 1, the score of the full colour")
         self.scale = self.calibration.metres_per_pixel(self.height)  # m/px
         self.outline = np.concatenate([self.paint.polygon("neck"), self.paint.polygon("head")])
+        self.half = np.ptp(self.outline[:, 0]) / 2 + MARGIN
         self.head, self.head_area = _centroid(self.paint.polygon("head"))
         self.neck, self.neck_area = _centroid(self.paint.polygon("neck"))
         self.distance = float(np.hypot(*(self.head - self.neck)))
@@ -111,30 +112,11 @@ class ColourTracker:
             )
         self.pattern = self._pattern()
 
-    def reset(self) -> None:
-        """Forgets the last pose of the fish."""
-        self.motion.clear()
+    def _near(self, image: np.ndarray, pose: np.ndarray, window: tuple[int, int, int, int]) -> Aligned | None:
+        return self._aligned(image, pose) or self._searched(image, window, 1)
 
-    def locate(self, image: np.ndarray, t: float) -> Fix | None:
-        """The fish in a frame (H, W, 3) uint8 BGR stamped t [s]; None if it is not visible, or if there are two candidates.
-
-        Raises ConfigError: an image of another size than the calibration's.
-        """
-        same_size(image, self.calibration)
-        stamp = t - self.calibration.lag
-        expected = self.motion.expected(stamp)
-        found = None
-        if expected is not None:
-            found = self._aligned(image, expected[0]) or self._searched(image, self._window(*expected[:2]), 1)
-        found = found or self._searched(image, (0, 0, *self.calibration.size), max(1, round(COARSE / self.scale)))
-        if found is None:
-            return None
-        quality = float(np.clip((found.match - 0.5) / 0.45, 0, 1) * min(1.0, found.seen))
-        outline = self.calibration.to_pixel(placed(self.outline, found.pose), self.height)
-        x, y, yaw = found.pose
-        fix = Fix(stamp, float(x), float(y), wrapped(yaw), widened(found.covariance, self.unseen), quality, outline)
-        self.motion.add(fix)
-        return fix
+    def _anywhere(self, image: np.ndarray) -> Aligned | None:
+        return self._searched(image, (0, 0, *self.calibration.size), max(1, round(COARSE / self.scale)))
 
     def _searched(self, image: np.ndarray, window: tuple[int, int, int, int], shrink: int) -> Aligned | None:
         """Aligns the likeliest pairs of blobs in part of the frame; None if there is no fit, or more than one."""
@@ -223,14 +205,6 @@ class ColourTracker:
             if not inside.any() or np.mean(sign * patch.values[inside] * patch.weights[inside] > 0.4) < AREAS[0]:
                 return False
         return True
-
-    def _window(self, pose: np.ndarray, reach: float) -> tuple[int, int, int, int]:
-        """Left, top, right, bottom px of the region that may hold the paint."""
-        middle = self.calibration.to_pixel(placed(self.outline, pose).mean(0), self.height)[0]
-        half = (np.ptp(self.outline[:, 0]) / 2 + MARGIN + reach) / self.scale
-        low, high = np.floor(middle - half).astype(int), np.ceil(middle + half).astype(int) + 1
-        width, height = self.calibration.size
-        return max(low[0], 0), max(low[1], 0), min(high[0], width), min(high[1], height)
 
     def _pattern(self) -> Pattern:
         """Pattern of the paint: red +1, yellow -1, else 0."""

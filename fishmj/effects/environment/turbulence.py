@@ -1,19 +1,6 @@
 """Water that never does the same twice."""
 
-import numpy as np
-
 from fishmj.effects.effect import Confusion, Effect, Parameter
-
-
-def scatter(rng, p, t):
-    """(T, 2) m/s: velocity added to both components at the times t [s], Gauss-Markov of deviation sigma and memory tau."""
-    drawn = rng.standard_normal((len(t), 2))
-    out, step = p.sigma * drawn, np.diff(t)
-    for k, h in enumerate(step, 1):
-        stay = np.exp(-h / p.time)
-        out[k] = stay * out[k - 1] + np.sqrt(1.0 - stay * stay) * out[k]
-    return out
-
 
 EFFECT = Effect(
     name="turbulence",
@@ -30,7 +17,5 @@ EFFECT = Effect(
         Confusion("steady_current", "three replicates: the mean vanishes", ("drift_east",)),
         Confusion("noise_level", "grows with time, a resting log does not", ("idle", "drift_east")),
     ),
-    stochastic=True,
     stream="flow",
-    scatter=scatter,
 )

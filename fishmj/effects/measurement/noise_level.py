@@ -1,20 +1,6 @@
 """Sensors are noisier than believed."""
 
-import numpy as np
-
 from fishmj.effects.effect import Confusion, Effect, Parameter
-
-
-def scatter(rng, p, record):
-    """Adds white noise so that the deviation of each channel becomes factor times sigma. record = (Measured, sigmas)."""
-    seen, sigma = record
-    more = np.sqrt(np.maximum(p.factor**2 - 1.0, 0.0))
-    noisy = {
-        name: getattr(seen, name) + more * getattr(sigma, name) * rng.standard_normal(np.shape(getattr(seen, name)))
-        for name in ("x", "y", "yaw", "joint", "power")
-    }
-    return seen._replace(**noisy)
-
 
 EFFECT = Effect(
     name="noise_level",
@@ -26,7 +12,5 @@ EFFECT = Effect(
     unplanted="its sensors have noise of their own, for all runs alike",
     shows=("joint", "position", "heading", "power"),
     confusions=(Confusion("turbulence", "a resting log shows it", ("idle", "drift_east")),),
-    stochastic=True,
     stream="seen",
-    scatter=scatter,
 )

@@ -5,13 +5,6 @@ import numpy as np
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
-def scatter(rng, p, record):
-    """t'_k = max(t_k + d_k, t'_{k-1}), d_k exponential of mean sigma: late, never early, in order. record = (t [s], commands)."""
-    t, commands = record
-    late = t + p.sigma * rng.standard_exponential(np.shape(t))
-    return np.maximum.accumulate(late), commands
-
-
 def command(p, t, c):
     """Mean over the delays: the mean of copies of the record, each with another quantile of the delay.
 
@@ -29,9 +22,9 @@ def command(p, t, c):
 
 
 def drawn_commands(rng, p, t, c):
-    """One draw for a whole record."""
+    """t'_k = max(t_k + d_k, t'_{k-1}), d_k exponential of mean sigma: late, never early, in order."""
     new = np.append(True, np.diff(c) != 0.0)
-    return scatter(rng, p, (t[new], c[new]))
+    return np.maximum.accumulate(t[new] + p.sigma * rng.standard_exponential(new.sum())), c[new]
 
 
 EFFECT = Effect(
@@ -57,7 +50,5 @@ EFFECT = Effect(
             Confusion("joint_sensor_delay", "commands spread, too: compare the stamps at both ends"),
         ),
     ),
-    stochastic=True,
     stream="command",
-    scatter=scatter,
 )

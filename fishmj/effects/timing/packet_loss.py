@@ -5,15 +5,6 @@ import numpy as np
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
 
 
-def scatter(rng, p, record):
-    """Each command but the first is lost with the probability p: the one before it holds. record = (t [s], commands (T, J))."""
-    t, commands = record
-    kept = rng.uniform(size=np.shape(t)) >= p.probability
-    kept[:1] = True
-    last = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
-    return t, np.asarray(commands)[last]
-
-
 def command(p, t, c):
     """Mean over the losses: c'_k = (1 - p) c_k + p c'_{k-1}. A row with the command before is no packet."""
     from scipy.signal import lfilter
@@ -24,9 +15,12 @@ def command(p, t, c):
 
 
 def drawn_commands(rng, p, t, c):
-    """One draw for a whole record."""
+    """Each command but the first is lost with the probability p: the one before it holds."""
     new = np.append(True, np.diff(c) != 0.0)
-    return scatter(rng, p, (t[new], c[new]))
+    t, c = t[new], c[new]
+    kept = rng.uniform(size=len(t)) >= p.probability
+    kept[:1] = True
+    return t, c[np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))]
 
 
 EFFECT = Effect(
@@ -51,7 +45,5 @@ EFFECT = Effect(
             Confusion("command_hold", "plateaus at random times: compare the stamps at both ends"),
         ),
     ),
-    stochastic=True,
     stream="command",
-    scatter=scatter,
 )

@@ -8,11 +8,6 @@ from fishmj.evaluate.bench import Benchmark, engines, known, measure, pick
 from fishmj.water import choice
 
 
-def _figure(value):
-    """Value rounded to four digits: more do not repeat on a shared machine."""
-    return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
 def _measured(bench: Benchmark, quick: bool) -> dict:
     """One result; a fault in one benchmark is reported and does not stop the others."""
     try:
@@ -62,7 +57,7 @@ def main(argv: list[str]) -> int:
         for k, bench in enumerate(todo):
             bar.stage(f"{bench.name}, {k + 1} of {len(todo)}: compiling, then measuring")
             found = _measured(bench, args.quick)
-            results.append({key: _figure(value) for key, value in found.items()})
+            results.append({k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in found.items()})
             console.say(json.dumps(results[-1]))
     if args.json:
         console.emit_json({"benchmarks": results})

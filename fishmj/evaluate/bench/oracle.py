@@ -94,11 +94,15 @@ FINE_TICKS = 16  # of the same with finer cells round the fish
 
 def _place(quick: bool):
     """Domain, device and ticks a run: the paper's tank on an accelerator, the small window on the CPU."""
+    return _box(("paper", TICKS), ("laptop", TICKS_QUICK if quick else TICKS_CPU))
+
+
+def _box(on_gpu: tuple[str, int], on_cpu: tuple[str, int]):
     from fishmj.lbm_oracle.fluid.device import device_of
     from fishmj.lbm_oracle.run.domain import preset
 
     device = device_of("auto")
-    name, ticks = ("paper", TICKS) if device.is_cuda else ("laptop", TICKS_QUICK if quick else TICKS_CPU)
+    name, ticks = on_gpu if device.is_cuda else on_cpu
     return preset(name), device, ticks
 
 
@@ -165,12 +169,7 @@ def oracle_tanks(quick: bool) -> BenchmarkWork:
 
 def _fine_cells(quick: bool):
     """The same with 5 mm round the fish, on the CPU 1 cm."""
-    from fishmj.lbm_oracle.fluid.device import device_of
-    from fishmj.lbm_oracle.run.domain import preset
-
-    device = device_of("auto")
-    name, ticks = ("paper_refined_twice_small", FINE_TICKS) if device.is_cuda else ("laptop_refined", 1 if quick else TICKS_QUICK)
-    return preset(name), device, ticks
+    return _box(("paper_refined_twice_small", FINE_TICKS), ("laptop_refined", 1 if quick else TICKS_QUICK))
 
 
 def fine_alone(quick: bool) -> BenchmarkWork:

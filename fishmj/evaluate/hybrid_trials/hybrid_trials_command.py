@@ -1,8 +1,8 @@
 """Does the flow solver mend MuJoCo's water while it swims? A policy holds station, against a solver that never stops.
 
-    python -m fishmj.hydro_fit hybrid --wrong stream --device cuda     12 trials of 120 s at 0.2 m/s in turbulence; resumable
-    python -m fishmj.hydro_fit hybrid --wrong all ...                  every condition, one after the other
-    python -m fishmj.hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
+    fishmj hydro_fit hybrid --wrong stream --device cuda     12 trials of 120 s at 0.2 m/s in turbulence; resumable
+    fishmj hydro_fit hybrid --wrong all ...                  every condition, one after the other
+    fishmj hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
 
     none          the water as fitted                slip      the solver at slip 0.98, the water fitted at 1
     tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
@@ -71,7 +71,7 @@ SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "right water",
 
 def options() -> console.Parser:
     """Parser of the verb `hybrid`."""
-    parser = console.parser("hydro_fit hybrid", "Correct MuJoCo's water by short segments of the flow solver while it swims.")
+    parser = console.parser("hydro_fit hybrid", __doc__)
     add = parser.add_argument
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
     add("--model", type=console.text, default="fitted", help="the water that is corrected: fitted, a name or .toml")

@@ -1,5 +1,6 @@
 """One picture of a ranking: RMSE in the solver against RMSE in the surrogate, a dot a controller."""
 
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,7 @@ def _draw(ax, found: dict) -> None:
     line = np.geomspace(low, high, 200)
     ax.fill_between(line, np.maximum(line - GAP, low / 10), line + GAP, color=FAINT, alpha=0.5, lw=0, label=f"within {GAP:g} m")
     ax.plot(line, line, color=FAINT, lw=1)
-    for row, colour in zip(rows, _colours(rows), strict=True):
+    for row, colour in zip(rows, cycle(COLOURS), strict=False):
         x, y = ([row[w][key] for key in ("value", "low", "high")] for w in ("solver", "surrogate"))
         error = [[[a[0] - a[1]], [a[2] - a[0]]] for a in (x, y)]
         face = colour if row["ranked"] else "white"
@@ -48,7 +49,3 @@ def _draw(ax, found: dict) -> None:
         axis.set_major_formatter(FormatStrFormatter("%g"))
         axis.set_minor_locator(NullLocator())
     ax.legend(loc="upper left", frameon=False)
-
-
-def _colours(rows: list[dict]) -> list[str]:
-    return [COLOURS[i % len(COLOURS)] for i in range(len(rows))]

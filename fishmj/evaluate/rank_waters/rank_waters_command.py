@@ -1,10 +1,10 @@
-"""The verb `python -m fishmj.hydro_fit rank`: are controllers worth the same in a fitted water and in the flow solver?
+"""Are controllers worth the same in a fitted water and in the flow solver?
 
-    python -m fishmj.hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all control, both waters
-    python -m fishmj.hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
-    python -m fishmj.hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
-    python -m fishmj.hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and
-                                                                     once with half its time step, in the surrogate 8 times
+    fishmj hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all control, both waters
+    fishmj hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
+    fishmj hydro_fit rank ... --model OTHER                trials in the solver are kept: seconds
+    fishmj hydro_fit rank pd --again 3                     trials again: in the solver twice a part of a cell away and
+                                                           once with half its time step, in the surrogate 8 times
 
 A gap may be twice the change of the solver's own mean when it repeats the trials; for repeated trials it is between the means.
 
@@ -45,7 +45,7 @@ SAID = {True: "yes", False: "NO", None: "cannot be told"}
 
 def options() -> console.Parser:
     """Parser of the verb `rank`."""
-    parser = console.parser("hydro_fit rank", "Rank controllers in the flow solver and in a fitted water, on the same trials.")
+    parser = console.parser("hydro_fit rank", __doc__)
     add = parser.add_argument
     brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
     add("controllers", type=console.text, nargs="*", action=console.Distinct, metavar="CONTROLLER", help=brains)

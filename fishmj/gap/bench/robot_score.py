@@ -65,7 +65,7 @@ def kind_of(row: dict) -> str:
     """Kind of a case by the present catalogue: a single effect that it does not list is outside it."""
     if row["kind"] == "none" or "truth" not in row:
         return row["kind"]
-    known = [name.partition("@")[0] in effects.robot_catalogue() for name in row["truth"]]
+    known = [effects.kind_of(name) in effects.robot_catalogue() for name in row["truth"]]
     return row["kind"] if all(known) or row["kind"] == "off" else "off" if not any(known) else "mixed"
 
 
@@ -79,7 +79,7 @@ def figures(every: list[dict]) -> dict:
     named = [r for r in singles if r["answer"] == "NAMED"]
     right = [r for r in named if is_right(r)]
     alone = [r for r in right if not any(e.get("same") for e in r["said"])]
-    alike = [r for r in named if is_right(r) or {kind_at(n) for n in names(r)} == {kind_at(n) for n in r["truth"]}]
+    alike = [r for r in named if is_right(r) or {*map(effects.kind_of, names(r))} == {*map(effects.kind_of, r["truth"])}]
     classes = [r for r in singles if r["answer"] == "CLASS"]
     listed = [r for r in classes if set(r["truth"]) <= set().union(*meant(r)) | set(r["rivals"])]
     pairs = [r for r in kind["pair"] if shows(r)]
@@ -114,11 +114,6 @@ def figures(every: list[dict]) -> dict:
     }
 
 
-def kind_at(name: str) -> str:
-    """Kind of an effect at a site."""
-    return name.partition("@")[0]
-
-
 def meant(row: dict) -> list[set[str]]:
     """Names that each effect of an answer stands for: its own, and those listed as the same on this robot."""
     return [{e["name"], *e.get("same", ())} for e in row["said"]]
@@ -145,7 +140,7 @@ def values_of(row: dict) -> Iterator[tuple[str, dict[str, list[float]], dict[str
         truth = row["truth"].get(e["name"], {})
         shared = {k: v for k, v in e["values"].items() if k in truth and all(x is not None for x in v)}
         if shared:
-            yield e["name"].partition("@")[0], shared, truth
+            yield effects.kind_of(e["name"]), shared, truth
 
 
 def relative_errors(row: dict) -> list[float]:

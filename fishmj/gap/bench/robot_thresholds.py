@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
-from fishmj.gap.search.shared_effects import site_of
+from fishmj import effects
 from fishmj.gap.thresholds import frozen, residual_allowed, thresholds
 
 
@@ -95,7 +95,7 @@ def _again(row: dict, limits: RobotLimits) -> tuple[str, set[str]]:
     least = {
         name: ((ratio[site][1] / max(ratio[site][0], 1e-12)) ** 2 if site in loud else 0.0) if site in ratio else everywhere
         for name in (e["name"] for e in _all(row))
-        for site in (site_of(name),)
+        for site in (effects.site_of(name),)
     }
     kept = {name for name in least if least[name] <= limits.share and (name in found or least[name] > SHIPPED.share)}
     return (answer, kept) if kept else ("UNEXPLAINED", found)

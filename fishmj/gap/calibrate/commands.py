@@ -115,10 +115,7 @@ def servo_of(args, logs: Logs, plant: ServoStand, *, alone: bool = True) -> serv
 
 
 def servo_report(args, logs: Logs, found: servo_fit.ServoFit, refusal: str = "") -> tuple[Path, Path, Answer]:
-    """Prints and writes the tables of a servo fit;
-
-    (page, picture, tables by name). refusal: reason that the fit must not be used.
-    """
+    """Prints and writes a servo fit: (page, picture, tables by name). refusal: reason that the fit must not be used."""
     estimates = {name: widened(e) for name, e in found.estimates.items()}
     apart = [
         {"medium": m, **{name: fit.estimates[name].value for name in servo_fit.FREE}, "rounds": fit.rounds}

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj import effects
 from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.parameter_fit import Block, FreeParameter, LeastSquaresFit, ParameterEstimate, fit
-from fishmj.gap.models.rigid_robot import AT, RigidRobot
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.whitening import record_whitening
@@ -75,7 +76,7 @@ def fit_robot(
     still = _still(robot, records)
     if len(still) == len(robot.channels):
         raise LogError(f"no joint moves by {STILL:g} rad or m in any log; record motions of every joint, slow and fast")
-    inert = frozenset(e.name for e in whole.active.effects if e.name.partition(AT)[2] in still)
+    inert = frozenset(e.name for e in whole.active.effects if effects.site_of(e.name) in still)
     inert |= whole.inert(records) if listed else frozenset()
     model = RigidRobot(robot, sizes, listed, without=inert)
     layout = ResidualLayout(records)

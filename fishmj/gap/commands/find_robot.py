@@ -37,7 +37,7 @@ from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.shared_effects import at_many_joints, site_of
 from fishmj.gap.search.unexplained_torque import with_measured_errors
 from fishmj.gap.thresholds import Gates, frozen, thresholds
-from fishmj.gap.verdict import NamedEffect, Verdict
+from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
 from fishmj.log import Trial, stacked
@@ -189,12 +189,9 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
 
 def doubted(verdict: Verdict) -> set[str]:
     """Effects of an answer with a rival, and those beside one that stands in for something else."""
-    return beside_unbelievable(verdict) | {e.name for e in verdict.effects if rivalled(verdict, e)}
-
-
-def rivalled(verdict: Verdict, effect: NamedEffect) -> bool:
-    """Returns True if another effect may be in the place of one."""
-    return len(verdict.standing(effect)) > 1 or effect.p_best < frozen().p_best
+    return beside_unbelievable(verdict) | {
+        e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best
+    }
 
 
 def beside_unbelievable(verdict: Verdict) -> set[str]:

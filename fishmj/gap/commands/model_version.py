@@ -74,7 +74,7 @@ def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version:
     if keep:
         table["parent_text"] = beside(out).name
         write_text(beside(out), text)
-    body = _without(text) + "\n" + dumps({"version": table})
+    body = effect_calibration.without_tables(text, "[version]", "[version.") + "\n\n" + dumps({"version": table})
     write_text(out, body)
     effect_calibration.write(out, merged(load_robot(parent).effects, effects))
     robot_from_dict(read_toml(out), str(out))
@@ -123,14 +123,3 @@ def next_name(parent: "str | Path", folder: Path) -> Path:
 def beside(out: Path) -> Path:
     """Path of the parent's text beside a version."""
     return out.with_name(f"{out.stem}.parent.toml")
-
-
-def _without(text: str) -> str:
-    """The text without the tables [version] and [version.*]."""
-    kept, inside = [], False
-    for line in text.splitlines():
-        if line.strip().startswith("["):
-            inside = line.strip().startswith(("[version]", "[version."))
-        if not inside:
-            kept.append(line)
-    return "\n".join(kept).rstrip("\n") + "\n"

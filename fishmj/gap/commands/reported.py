@@ -37,7 +37,7 @@ def _known_rival(name: str) -> str:
 
 def _of_robot(name: str) -> str:
     """Checks the name of an effect at a site of a robot in MJCF."""
-    if name.partition("@")[0] not in effects.robot_catalogue():
+    if effects.kind_of(name) not in effects.robot_catalogue():
         raise ValueError(f"unknown effect {name[:40]!r} of a robot in MJCF")
     return name
 

@@ -44,13 +44,14 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from fishmj.effects.ambiguity import containing, together
-from fishmj.effects.effect import Parameter
+from fishmj.effects.effect import Parameter, site_of
 from fishmj.gap.decide.intervals import drawn_places, estimate
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, drop_effect, limiting, on_records, refine
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.search.model_error import error_without_outliers, misformed
-from fishmj.gap.search.shared_effects import apart, shares, site_of
+from fishmj.gap.search.shared_effects import apart, shares
 from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates, residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, NamedEffect, Value, Verdict
@@ -286,7 +287,7 @@ def near_in_likelihood(found: Selection, name: str) -> set[str]:
     effects that draw, one must lead by the gain of a finding: a lost packet and a late one look alike, and draws are few.
     """
     model, limits = found.near.model, thresholds().torques
-    if not hasattr(model, "torque_tolerance"):
+    if not isinstance(model, RigidRobot):
         return set()
     rounds = [step.ranked for step in found.steps if step.accepted and name in step.ranked[0].newest]
     asked = {x.name: limits.gain for x in likelihood.draws(model)} if likelihood.draws(model, (name,)) else {}

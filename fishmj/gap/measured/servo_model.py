@@ -91,7 +91,9 @@ class OneServo(ParameterRow):
     ):
         self.motor, self.rig, self.dt, self.lag = motor, rig, dt, 0.5 * centred
         self.constants = tuple(Constant(n, 0.3) for n in ServoMotor._fields) if constants is None else constants
-        self.active = effects.EffectStack(on_bench(acting() if catalogue is None else catalogue), joints=1)
+        chosen = acting() if catalogue is None else catalogue
+        sagging = (replace(e, servo=measured_rail) if e.name == "voltage_sag" else e for e in chosen)  # of the measured voltage
+        self.active = effects.EffectStack(sagging, joints=1)
 
     @cached_property
     def kernel(self) -> Kernel:
@@ -161,8 +163,3 @@ def acting() -> list[Effect]:
         if here and "joint" in e.shows and not e.stochastic and e.name not in NOT_HERE:
             out.append(e)
     return out
-
-
-def on_bench(chosen: Iterable[Effect]) -> list[Effect]:
-    """The effects for a bench; the supply's sag uses the measured voltage."""
-    return [replace(e, servo=measured_rail) if e.name == "voltage_sag" else e for e in chosen]

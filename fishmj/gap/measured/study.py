@@ -1,7 +1,7 @@
 """Names the missing term by cross-validation over groups: conditions, gains, runs outside every fit.
 
     per fold    baseline fitted -> screen -> refit with the constants -> cost on the groups left out
-    accepted    P(the cost left out falls by more than `useful`) over Bayesian bootstrap draws of the groups, best in most folds;
+    accepted    P(the cost left out falls by more than `USEFUL`) over Bayesian bootstrap draws of the groups, best in most folds;
                 and an exact test over the groups of each fold's choice by its own records, if they are not too few for one
     named       the same best effect in the folds, P(best) over the same draws, rivals by the exact test too, closure on records
                 kept aside for the last figure, or on the groups left out if there are none
@@ -26,6 +26,8 @@ from fishmj.gap.thresholds import thresholds
 
 FIT, POLISH = 16, 6  # iterations
 PRIOR = 0.5  # of a constant, how far the screen lets it turn
+
+USEFUL, SURE = 0.02, 0.95  # share by which the cost left out must fall, and its probability
 
 
 @dataclass(frozen=True)
@@ -186,8 +188,6 @@ def investigate(
     study: Study,
     *,
     most: int = 2,
-    useful: float = 0.02,
-    sure: float = 0.95,
     has=(),
     say=lambda text: None,
     bars: progress.Bars = progress.silent_bar,
@@ -202,7 +202,7 @@ def investigate(
         say(f"baseline: error {study.said(learned[0])} on {len(study.learn)} records{aside}")
         while len(rounds) < most:
             begun = len(rounds) * steps
-            step = one_round(study, current, useful, sure, lambda k, begun=begun: bar.update(begun + 1 + k))
+            step = one_round(study, current, lambda k, begun=begun: bar.update(begun + 1 + k))
             rounds.append(step)
             found = step.fitted.names[-1]
             verdict = "accepted" if step.accepted else "not accepted"
@@ -229,7 +229,7 @@ def extended(study: Study, has=()) -> Candidate:
     return found
 
 
-def one_round(study: Study, current: Candidate, useful: float, sure: float, done=lambda k: None) -> SelectionRound:
+def one_round(study: Study, current: Candidate, done=lambda k: None) -> SelectionRound:
     """All folds once, for candidates one effect larger than `current`. done: receives the number of finished fits."""
     effects = [e for e in study.plant.active.effects if e.name not in current.names]
     folds, own = [], []
@@ -259,15 +259,15 @@ def one_round(study: Study, current: Candidate, useful: float, sure: float, done
     start, cost = np.array([before[g] for g in groups]), np.stack([after[g] for g in groups], 1)
     winner = names[int(np.argmin(cost.sum(1)))]
     weights = np.random.default_rng(0).dirichlet(np.ones(len(groups)), thresholds().likelihood.bootstrap_draws)
-    gains = weights @ (start - cost[names.index(winner)]) > useful * (weights @ start)
+    gains = weights @ (start - cost[names.index(winner)]) > USEFUL * (weights @ start)
     share = dict(zip(names, map(float, likelihood.p_best(cost)), strict=True))
     everything = Fold(study, study.learn, current)
     everything.trust(everything.refit([tried[winner]])[0].row)
     fitted = everything.refit([tried[winner]])[0]
     best = tuple(ranked[0].names[-1] for ranked in own)
     sure_enough = float(np.mean(gains))
-    p = exact_p((1.0 - useful) * start, np.array([picked[g] for g in groups]))
-    accepted = sure_enough >= sure and 2 * best.count(winner) > len(best) and (p <= LEVEL or len(groups) < LEAST_GROUPS)
+    p = exact_p((1.0 - USEFUL) * start, np.array([picked[g] for g in groups]))
+    accepted = sure_enough >= SURE and 2 * best.count(winner) > len(best) and (p <= LEVEL or len(groups) < LEAST_GROUPS)
     mine = cost[names.index(winner)]
     return SelectionRound(
         names,

@@ -24,7 +24,7 @@ from fishmj.gap.measured.study import SelectionRound, Study, StudyOutcome, inves
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.search import likelihood
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
-from fishmj.gap.wording import level, percent, sizes, title
+from fishmj.gap.wording import level, percent, sizes
 from fishmj.log.replicates import RATIO
 
 CLOSURE, P_BEST = 0.6, 0.9
@@ -245,9 +245,9 @@ def verdict_text(study: Study, v: Verdict) -> str:
     doubt = "tentative: " if v.answer in ("UNEXPLAINED", TOO_FEW) else ""
     for e in v.effects:
         lines.append(f"  {doubt}{sizes(e.name, e.parameters)}")
-        standing = replace(v, effects=(e,)).standing(e)
+        ranking = replace(v, effects=(e,)).ranking(e)
         if v.answer != TOO_FEW:
-            lines.append(f"    P(best), largest first: {', '.join(f'{title(n)} {p:.2f}' for n, p in standing)}")
+            lines.append(f"    P(best), largest first: {ranking}")
     now = f" -> {level(v.gap_after)}" if v.gap_after != v.gap_before else ""
     if now and v.gap_after < v.gap_before:
         lines.append(f"  explains {percent(v.explained)} of what lies above the floor, {where(study)}")

@@ -70,7 +70,8 @@ def split(study: StudyInput, logs: Sequence[Log], records: Sequence[Any]) -> tup
         if not out:
             seen = bare(", ".join(sorted({str(log_value(log, key)) for log in logs})), 120)
             raise LogError(f"{study.where} [held_out] where: no record has {quoted(key)} = {quoted(value)}; they have {seen}")
-    aside = [r for r in records if r.group in apart or _log_of(r.name, out)]
+    # "name 3" is a run of the log "name"
+    aside = [r for r in records if r.group in apart or {r.name, r.name.rpartition(" ")[0]} & out]
     taken = {id(r) for r in aside}
     learn = [r for r in records if id(r) not in taken]
     left = sorted({r.group for r in learn})
@@ -88,11 +89,6 @@ def split(study: StudyInput, logs: Sequence[Log], records: Sequence[Any]) -> tup
         )
     fold = {g: i % held.folds for i, g in enumerate(rest)} if held.folds else {g: i for i, g in enumerate(left)}
     return learn, aside, np.array([fold[r.group] for r in learn])
-
-
-def _log_of(name: str, logs: set[str]) -> bool:
-    """Returns True if a record is one of these logs, or a run of one ("name 3")."""
-    return name in logs or name.rpartition(" ")[0] in logs
 
 
 def _terms(study: StudyInput, mass: float, length: float = 1.0) -> list[Effect]:

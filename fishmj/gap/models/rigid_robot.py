@@ -24,7 +24,7 @@ from mujoco import rollout
 
 from fishmj import effects
 from fishmj.base.cores import usable_cores
-from fishmj.effects.effect import Effect, Parameter
+from fishmj.effects.effect import AT, Effect, Parameter
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.kernel import hermite
 from fishmj.gap.models.robot_description import RobotDescription
@@ -36,7 +36,6 @@ from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
 from fishmj.log import Trial
 
-AT = "@"  # between an effect's name and its site's
 FINE = 0.125  # of the description's step: its own errs by some mrad in 0.3 s, ten times an encoder's noise
 AT_ONCE = 4096  # rollouts of a batch, for memory's sake
 REST = 2.0  # usual torques that an actuator gives at rest if its description states no limit
@@ -193,10 +192,8 @@ class RigidRobot(ParameterRow):
         )
         bare: dict[str, Any] = dict.fromkeys(("servo", "gear", "fish", "flow", "body", "water", "command", "measure"))
         placed = form._replace(parameters=sized)
-        bare |= {"scatter": None, "stochastic": False, "stream": ""}
-        return replace(
-            effect, name=name, parameters=sized, shows=(), memory=(), handed=(), confusions=confused, robot=placed, **bare
-        )
+        bare |= dict.fromkeys(("shows", "memory", "handed"), ()) | {"stream": ""}
+        return replace(effect, name=name, parameters=sized, confusions=confused, robot=placed, **bare)
 
     def _scale(self, unit: str, kind: str, site: str) -> float:
         """Size of a unit at a site of a kind."""

@@ -131,11 +131,15 @@ class SwimmingFish(ParameterRow):
 
         nv, n = self.joints + 3, self.chain.n
         q, v, attached, energy = state[:nv], state[nv : 2 * nv], state[2 * nv], state[2 * nv + 1]
-        hooks = Effects(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :])
+        hooks = self._hooks(jnp, row, state[2 * nv + 2 :])
         target = [hooks.session.command(j, command[j], self.dt) for j in range(self.joints)]
         flow = [(row[-2], row[-1])] * n
         s = planar_chain.step(jnp, self._chain(row), self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
+
+    def _hooks(self, xp, row, memory) -> Effects:
+        """The effects of a row."""
+        return Effects(xp, self.active, row[len(self.constants) : -2], memory)
 
     def _chain(self, row) -> planar_chain.Chain:
         """The chain of a row; a plant whose rows change its constants has its own."""
@@ -324,16 +328,8 @@ class ServoStand(SwimmingFish):
             water=water,
         )
 
-    def _step(self, state, command, row):
-        import jax.numpy as jnp
-
-        nv, n = self.joints + 3, self.chain.n
-        q, v, attached, energy = state[:nv], state[nv : 2 * nv], state[2 * nv], state[2 * nv + 1]
-        hooks = HangingInAir(jnp, self.active, row[len(self.constants) : -2], state[2 * nv + 2 :], row[self.place(WET)])
-        target = [command[j] for j in range(self.joints)]
-        flow = [(row[-2], row[-1])] * n
-        s = planar_chain.step(jnp, self._chain(row), self._swimmer(row), q, v, attached, target, flow, (0.0, 0.0), hooks)
-        return [*s.q, *s.v, s.attached, energy + s.power * self.dt, *s.memory]
+    def _hooks(self, xp, row, memory) -> HangingInAir:
+        return HangingInAir(xp, self.active, row[len(self.constants) : -2], memory, row[self.place(WET)])
 
     def predict(self, records: list[Record], rows) -> list[dict]:
         """Predictions as of `SwimmingFish.predict`; `wet` follows each record's medium, and a thread hangs at the origin."""

@@ -66,7 +66,7 @@ def figures(m: ReportData) -> list[tuple[str, str]]:
     else:
         out.append((level(before), about))
     if v.answer in ("NAMED", "CLASS") and v.effects:
-        out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): how surely the best of the catalogue"))
+        out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): share of redraws of the records that it wins"))
     seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.model.active.effects)
     out.append((f"{len(m.inquiry.records)}", f"records, {seconds:.0f} s; {effects} effects in question"))
     return out

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from fishmj import effects
 from fishmj.effects.effect import Effect
-from fishmj.gap.models.rigid_robot import AT, RigidRobot
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.search.fit import bounds
 from fishmj.gap.thresholds import thresholds
 
@@ -55,13 +55,13 @@ def free_numbers(model: RigidRobot, kinds: Sequence[str]) -> list[OpenNumber]:
     low, high, size = (part.tolist() for part in bounds(model))
     out = []
     for place, c in enumerate(model.constants):
-        if c.name.partition(AT)[0] in constants:
+        if effects.kind_of(c.name) in constants:
             out.append(OpenNumber(place, c.name, "1", 0.0, 1.0, limits.difference_step, low[place], high[place], c.sigma, True))
     for effect in model.active.effects:
         base = stated(model, effect.name)
         for p in effect.parameters:
             place = model.index(effect.name, p.name)
-            lowest = low[place] if effect.name.partition(AT)[0] in FACTORS else -base
+            lowest = low[place] if effects.kind_of(effect.name) in FACTORS else -base
             step, sigma = limits.difference_step * size[place], limits.prior_sd * size[place]
             out.append(OpenNumber(place, effect.name, p.unit, base, p.null, step, lowest, high[place], sigma, False))
     return out
@@ -69,7 +69,7 @@ def free_numbers(model: RigidRobot, kinds: Sequence[str]) -> list[OpenNumber]:
 
 def stated(model: RigidRobot, name: str) -> float:
     """The description's own value of an effect's number; a gain is a factor, 1."""
-    kind, _, site = name.partition(AT)
+    kind, site = effects.kind_of(name), effects.site_of(name)
     if kind in FACTORS:
         return 1.0
     if kind not in STATED:

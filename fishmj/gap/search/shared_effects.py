@@ -14,21 +14,17 @@ from collections import Counter
 
 import numpy as np
 
-from fishmj.gap.models.rigid_robot import AT
+from fishmj.effects.effect import AT, kind_of, site_of
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
 from fishmj.gap.thresholds import Gates, thresholds
 
 
-def site_of(name: str) -> str:
-    """Site of an effect, "" of the whole robot."""
-    return name.partition(AT)[2]
-
-
 def kinds(names: tuple[str, ...]) -> list[str]:
     """The names, those of one kind at many sites as one: `coulomb_friction@12 joints`."""
-    count = Counter(name.partition(AT)[0] for name in names)
+    count = Counter(map(kind_of, names))
     many = {kind: f"{kind}{AT}{n} joints" for kind, n in count.items() if n >= thresholds().stepwise.shared_sites}
-    return list(dict.fromkeys(many.get(name.partition(AT)[0], name) for name in names))
+    return list(dict.fromkeys(many.get(kind_of(name), name) for name in names))
 
 
 def at_many_joints(names: list[str]) -> bool:
@@ -38,7 +34,7 @@ def at_many_joints(names: list[str]) -> bool:
 
 def shares(model) -> bool:
     """Returns True for a robot with so many joints that kinds of effects are candidates."""
-    return getattr(model, "joints", 0) >= thresholds().stepwise.shared_sites and hasattr(model, "torque_tolerance")
+    return isinstance(model, RigidRobot) and model.joints >= thresholds().stepwise.shared_sites
 
 
 def apart(model, one: str, other: str) -> bool:
@@ -50,9 +46,8 @@ def of_each_kind(screened: list[Candidate], base: Candidate, gates: Gates) -> li
     """Candidates of one more effect by kind, of those that gain enough at enough sites; the most gain first."""
     gaining: dict[str, list[Candidate]] = {}
     for c in screened:
-        kind, _, site = c.names[-1].partition(AT)
-        if site and base.cost - c.cost > gates.gain:
-            gaining.setdefault(kind, []).append(c)
+        if site_of(c.names[-1]) and base.cost - c.cost > gates.gain:
+            gaining.setdefault(kind_of(c.names[-1]), []).append(c)
     many = [found for found in gaining.values() if len(found) >= thresholds().stepwise.shared_sites]
     return sorted(many, key=lambda found: sum(c.cost - base.cost for c in found))
 

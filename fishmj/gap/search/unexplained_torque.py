@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.effects import Effect
+from fishmj.effects import Effect, site_of
 from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.null.whitening import separate_blocks
 from fishmj.gap.progress import Bars, silent_bar
@@ -26,7 +26,6 @@ from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.search.drawn_effects import drawn_candidates
 from fishmj.gap.search.fit import EffectFitter, needs_fine_value
 from fishmj.gap.search.likelihood import Likelihood, draws
-from fishmj.gap.search.shared_effects import site_of
 from fishmj.gap.search.stepwise import informative_records
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict

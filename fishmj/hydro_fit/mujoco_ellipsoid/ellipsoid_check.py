@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.hydro_fit import free_swims
-from fishmj.hydro_fit.fit.gauss_newton import flaps, thrusts, tow_drag
-from fishmj.hydro_fit.fit.regression_rows import rows_of
+from fishmj.hydro_fit.fit.gauss_newton import flaps
 from fishmj.hydro_fit.fit.rollout import fish_batch_of, is_free, recorded
 from fishmj.hydro_fit.free_swims import _from as late_means
 from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_fit import Fitted, forces
@@ -45,17 +44,9 @@ def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict
     swims = EllipsoidFreeSwims(water, robot, records)
     got, n = free_swims.errors(swims, swims.late)
     held = [r for r in records if flaps(r)]
-    got["thrust_error"], n["thrust_error"] = _thrust(water, robot, held), len(held)
+    force_of = lambda ch, rows, tick: forces(water.ellipsoids, rows, water.flat, water.inertia, tick)
+    got["thrust_error"], n["thrust_error"] = free_swims.thrust_error(force_of, robot, held), len(held)
     far = np.linalg.norm(swims.cruise_track.q[..., :2] - swims.cruise.q[:, 1:, :2], axis=-1)
     last = swims.cruise.mask.sum(1).astype(int) - 1
     got["freerun_position_error"], n["freerun_position_error"] = float(far[np.arange(len(far)), last].mean()), len(far)
     return {"figures": got, "n": n, "freerun_s": float(swims.cruise.mask.sum(1).min() * records[0].tick)}
-
-
-def _thrust(water: Fitted, robot: Robot, held: Sequence[SegmentRecord]) -> float:
-    if not held:
-        return float("nan")
-    ch, tick = planar_chain.chain_of(robot), held[0].tick
-    rows = rows_of(ch, held)
-    got = forces(water.ellipsoids, rows, water.flat, water.inertia, tick)
-    return float(np.abs(thrusts(rows, got) - thrusts(rows, rows.force)).mean() / tow_drag(ch, robot))

@@ -36,10 +36,7 @@ _MONTHS |= {"oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12}
 
 
 class CellReading(NamedTuple):
-    """Both values of a cell: with a decimal point or the day first, and with a comma or the month first;
-
-    NaN for an impossible reading.
-    """
+    """Values of a cell, a decimal point or the day first, and a comma or the month first; NaN for an impossible one."""
 
     first: float
     second: float
@@ -173,10 +170,7 @@ def decided(
 
 
 def _calmer(day_first: np.ndarray, month_first: np.ndarray) -> int | None:
-    """Index of the reading of dates in which no step is longer than a day;
-
-    None if both give the same day, -1 if neither decides.
-    """
+    """The reading of dates in which no step exceeds a day: 0 or 1, None if both give the same day, -1 if neither decides."""
     longest = [float(np.max(np.abs(np.diff(v[np.isfinite(v)])), initial=0.0)) for v in (day_first, month_first)]
     calm = [value < DAY for value in longest]
     return None if all(calm) else calm.index(True) if any(calm) else -1

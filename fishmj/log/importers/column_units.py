@@ -114,14 +114,9 @@ def measures(unit: str) -> str:
     return UNITS[unit][0] if unit in UNITS else ""
 
 
-def of_kind(what: str) -> list[str]:
-    """Units of one quantity that have a factor, or take a scale (px)."""
-    return [unit for unit, (measured, _) in UNITS.items() if measured == what]
-
-
 def likely(what: str) -> list[str]:
     """Units that a laboratory's column is likely to use; the others need a name that states them."""
-    return [unit for unit in of_kind(what) if unit not in RARE]
+    return [unit for unit, (measured, _) in UNITS.items() if measured == what and unit not in RARE]
 
 
 def fitting(what: str, value: float, unit: str, span: tuple[float, float]) -> list[str]:

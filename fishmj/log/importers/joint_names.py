@@ -21,10 +21,7 @@ NAME = re.compile(r"(?P<before>.*?)(?P<key>(?:joint_)?names?)(?P<mark>[._\[]?)(?
 
 
 def column_of(name: str, key: str) -> str:
-    """Column's name: `joint.NAME` for a position, `joint.NAME.velocity`, `joint.NAME.effort`;
-
-    `KEY.NAME` for values of another key.
-    """
+    """Column's name: `joint.NAME` for a position, `joint.NAME.velocity`, `joint.NAME.effort`; else `KEY.NAME`."""
     return f"joint.{name}{STATE[key]}" if key in STATE else f"{key}.{name}"
 
 

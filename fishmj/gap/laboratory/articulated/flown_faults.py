@@ -7,11 +7,9 @@ import numpy as np
 from fishmj.gap.laboratory.articulated.hidden_faults import (
     FAULTS,
     Fault,
-    Hidden,
     UsualMotion,
     log_uniform,
     one_parameter,
-    placed,
     stronger,
 )
 from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, body, rotor
@@ -74,16 +72,6 @@ FLOWN: dict[str, Fault] = {name: FAULTS[name] for name in SHARED} | {
 }
 LEAST_LIMIT = 0.9  # of a rotor's thrust in hover
 FLOWN_OUTSIDE = ("tether", "body_vibration")
-
-
-def with_faults(plan: RobotPlan, hidden: Hidden) -> RobotPlan:
-    """The quadrotor with what changes its numbers."""
-    for name, values in hidden.items():
-        effect, k = placed(name)
-        change = FLOWN[effect].plan
-        if change is not None:
-            plan = change(plan, k, dict(values))
-    return plan
 
 
 def draw_flown(name: str, rng: np.random.Generator, plan: RobotPlan, usual: UsualMotion, strength: float = 1.0) -> dict[str, Any]:

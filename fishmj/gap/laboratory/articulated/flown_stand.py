@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fishmj.gap.laboratory.articulated.flown_faults import with_faults
+from fishmj.gap.laboratory.articulated.flown_faults import FLOWN
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco
-from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion
+from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion, with_hidden
 from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, tolerances, within_tolerance
 from fishmj.gap.laboratory.articulated.robot_stand import HEALTHY, SEGMENT, SLOW, Channel, pushes, timing_of
 
@@ -199,7 +199,7 @@ def flown_session(
     build: Build, described: RobotPlan, hidden: Hidden, stand: FlownStand, usual: UsualMotion, seed: int
 ) -> list[FlownLog]:
     """Logs of a robot drawn within the tolerances of `described`, with `hidden` in it. Raises FloatingPointError."""
-    true = with_faults(within_tolerance(described, np.random.default_rng([seed, 32])), hidden)
+    true = with_hidden(within_tolerance(described, np.random.default_rng([seed, 32])), hidden, FLOWN)
     out = []
     for i, reference in enumerate(references(seed, stand.logs)):
         rng = np.random.default_rng([seed, 33, i])

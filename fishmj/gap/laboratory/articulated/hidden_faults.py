@@ -244,11 +244,11 @@ def fits(name: str, plan: RobotPlan) -> bool:
     return not (fault.servos and plan.torques) and not (fault.coupled and len(plan.limbs) < 2)
 
 
-def with_hidden(plan: RobotPlan, hidden: Hidden) -> RobotPlan:
-    """The robot with what changes its numbers."""
+def with_hidden(plan: RobotPlan, hidden: Hidden, faults: Mapping[str, Fault] = FAULTS) -> RobotPlan:
+    """The robot with what changes its numbers. faults: of which kind of robot."""
     for name, values in hidden.items():
         effect, k = placed(name)
-        change = FAULTS[effect].plan if effect in FAULTS else None
+        change = faults[effect].plan if effect in faults else None
         if change is not None:
             plan = change(plan, k, dict(values))
     return plan

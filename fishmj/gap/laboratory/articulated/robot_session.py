@@ -7,7 +7,7 @@ A seed gives the same session on every machine. An effect that does not show is 
 large, a few times. A robot whose description does not fit an effect is drawn anew, too.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,19 +93,29 @@ def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, lo
     plan, servo, law, own = made
     stand = draw_stand(rng, logs, seconds)
     usual = usual_motion(plan, seed, stand)
-    hidden: dict[str, dict[str, float]] = {}
-    visible: dict[str, float] = {}
-    for name in names:
-        fixed = {key: values for key, values in own.items() if placed(key)[0] == name}  # a servo's own constants
-        for attempt in range(1 if fixed else DRAWS):
-            one = fixed or draw_hidden(name, rng, plan, usual, GROWTH**attempt)
-            seen = visibility_of(generator, plan, one, law, stand, usual, seed)
-            if seen > SEEN:
-                break
-        hidden |= one
-        visible |= dict.fromkeys(one, seen)
+    seen = lambda one: visibility_of(generator, plan, one, law, stand, usual, seed)
+    hidden, visible = _hide(names, lambda name, strength: draw_hidden(name, rng, plan, usual, strength), seen, own)
     build = builder(generator, law)
     return RobotSession(plan, hidden, stand, session(build, plan, hidden, stand, usual, seed), visible, servo)
+
+
+def _hide(names: Sequence[str], draw: Callable, seen: Callable, own: Hidden) -> tuple[dict, dict]:
+    """({effect at its site: values}, {effect at its site: how visible it is}); what does not show is drawn larger.
+
+    own: a servo's own constants, which are not drawn.
+    """
+    hidden: dict[str, Mapping[str, float]] = {}
+    visible: dict[str, float] = {}
+    for name in names:
+        fixed = {key: values for key, values in own.items() if placed(key)[0] == name}
+        for attempt in range(1 if fixed else DRAWS):
+            one = fixed or draw(name, GROWTH**attempt)
+            size = seen(one)
+            if size > SEEN:
+                break
+        hidden |= one
+        visible |= dict.fromkeys(one, size)
+    return hidden, visible
 
 
 def _flown(generator: str, plan: RobotPlan, names: Sequence[str], seed: int, rng, logs: int, seconds: float) -> RobotSession:
@@ -113,17 +123,8 @@ def _flown(generator: str, plan: RobotPlan, names: Sequence[str], seed: int, rng
     usual = usual_flight(plan, seed, stand)
     build = FlownPinocchio if generator == PINOCCHIO else FlownMujoco
     few = stand._replace(logs=min(2, logs))
-    hidden: dict[str, dict[str, float]] = {}
-    visible: dict[str, float] = {}
-    for name in names:
-        for attempt in range(DRAWS):
-            one = draw_flown(name, rng, plan, usual, GROWTH**attempt)
-            flown = flown_session(build, plan, one, few, usual, seed)
-            seen = flown_visibility(build, plan, few, usual, seed, flown)
-            if seen > SEEN:
-                break
-        hidden |= one
-        visible |= dict.fromkeys(one, seen)
+    seen = lambda one: flown_visibility(build, plan, few, usual, seed, flown_session(build, plan, one, few, usual, seed))
+    hidden, visible = _hide(names, lambda name, strength: draw_flown(name, rng, plan, usual, strength), seen, {})
     return RobotSession(plan, hidden, stand, flown_session(build, plan, hidden, stand, usual, seed), visible, "")
 
 

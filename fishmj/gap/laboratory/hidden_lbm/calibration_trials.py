@@ -1,8 +1,8 @@
 """Calibration trials of a robot with hidden numbers, and the sealed file that holds them.
 
-    python -m fishmj campaign hidden_trials --water second                     seconds; all water is the second robot's
-    python -m fishmj campaign hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
-    python -m fishmj campaign hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
+    fishmj campaign hidden_trials --water second                     seconds; all water is the second robot's
+    fishmj campaign hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
+    fishmj campaign hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
 
 Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
 weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be
@@ -176,7 +176,7 @@ def seal(out: Path, seed: int, values: dict[str, float], generators: dict[str, s
 
 def main(argv: list[str]) -> int:
     """The command `campaign hidden_trials`. Returns the exit code."""
-    parser = console.parser("campaign hidden_trials", "Calibration trials of a robot drawn anew, its numbers sealed.")
+    parser = console.parser("campaign hidden_trials", __doc__)
     add = parser.add_argument
     add("--out", type=console.out_folder, default=str(OUT), help="data set to write; refused when it is there")
     add("--water", choices=GENERATORS, default="second", help="whose water: the second robot's, the solver's for swims, for all")

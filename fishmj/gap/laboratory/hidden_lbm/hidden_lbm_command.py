@@ -1,8 +1,8 @@
 """Many data sets of the flow solver with hidden effects, in several tanks; the same command continues an interrupted run.
 
-python -m fishmj campaign hidden --sets 48 --effects none --device cuda --out data/gap/lbm_null --truth truth_null.json
-python -m fishmj campaign hidden --sets 36 --effects command_latency yaw_drag ... --device cuda --out data/gap/lbm --truth t.json
-python -m fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --excitations gait,steps,tow_ahead --seconds 5 ...
+fishmj campaign hidden --sets 48 --effects none --device cuda --out data/gap/lbm_null --truth truth_null.json
+fishmj campaign hidden --sets 36 --effects command_latency yaw_drag ... --device cuda --out data/gap/lbm --truth t.json
+fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --excitations gait,steps,tow_ahead --seconds 5 ...
 
 Set i hides effect i of the list, cyclically, in its own robot. OUT/<set>/ is a data set; only the truth file names its hidden
 effect.
@@ -35,7 +35,7 @@ ON_GPU = 12
 
 def main(argv: list[str]) -> int:
     """The command `campaign hidden`. Returns the exit code."""
-    parser = console.parser("campaign hidden", "Data sets of the flow solver in which effects are hidden.")
+    parser = console.parser("campaign hidden", __doc__)
     add = parser.add_argument
     add("--sets", type=console.whole(1, 10_000), default=1, metavar="N", help="data sets, a robot each")
     named = "none|random|NAME[=value]"

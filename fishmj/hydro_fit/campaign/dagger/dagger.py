@@ -7,13 +7,11 @@ in the present surrogate, and the solver, as the expert, computes the water ther
 next model is fitted to all (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for models of dynamics Ross, Bagnell 2012,
 arXiv 1203.1007). The policy itself is not trained here; `fishmj train --correct` trains it anew before each round.
 
-    found = correct("paper", robot, model, folder, setup, refit=refit)       until the returns differ by less than `AGREED`
-
 Each episode yields two segments: the whole episode, steered by the policy in the solver from the same start, which gives the
 return; and a short one from the state of the surrogate half-way, which the policy may never reach in the solver. The last episode
 of a round validates. Segments, models and rows of finished rounds are kept: the same call continues with them.
 
-    python -m fishmj.hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
+    fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
 
 Nothing is written outside --out: the data set of the first fit is only read, and the rounds' segments have one of their own.
 """
@@ -223,7 +221,7 @@ def compare_returns(robot: Robot, folder: Path, rolls: list[tuple[Segment, Rollo
 
 def main(argv: list[str]) -> int:
     """Runs the verb `correct`; exit code 1 if the returns do not agree after the last round."""
-    parser = console.parser("hydro_fit correct", "Correct a surrogate where a policy takes it.")
+    parser = console.parser("hydro_fit correct", __doc__)
     add = parser.add_argument
     add("policy", type=console.text, metavar="POLICY", help="name of a controller or a policy file")
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")

@@ -1,15 +1,13 @@
 """Runs the missing segments of a plan and keeps them as a data set: resumable, with progress and time left, within a budget.
 
-    found = collect(full("fish"), "data/hydro/swift", Setup(...), tanks=12)
-
 Written in this order: the split, the segments one by one as they finish, the manifest. The same call continues an interrupted
 one; a segment that exists, is complete and was made in the same way is not run again.
 
-    python -m fishmj.hydro_fit collect --device cuda
-    python -m fishmj.hydro_fit collect --device cuda:all
-    python -m fishmj.hydro_fit collect --preview --out runs/preview
-    python -m fishmj.hydro_fit collect --fish my_fish.toml --scale 0.2 --out runs/my_fish
-    python -m fishmj.hydro_fit collect --ray auto --tanks 12
+    fishmj hydro_fit collect --device cuda
+    fishmj hydro_fit collect --device cuda:all
+    fishmj hydro_fit collect --preview --out runs/preview
+    fishmj hydro_fit collect --fish my_fish.toml --scale 0.2 --out runs/my_fish
+    fishmj hydro_fit collect --ray auto --tanks 12
 """
 
 import argparse
@@ -302,7 +300,7 @@ def run(args: argparse.Namespace) -> int:
 
 def main(argv: list[str]) -> int:
     """Runs the verb by itself."""
-    parser = console.parser("hydro_fit collect", "Segments of the flow solver that a water is fitted to.")
+    parser = console.parser("hydro_fit collect", __doc__)
     add_arguments(parser)
     return run(parser.parse_args(argv))
 

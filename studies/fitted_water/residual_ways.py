@@ -1,4 +1,4 @@
-"""Ways to compute the learnt force in JAX, side by side: `python -m fishmj.evaluate.bench.residual`, one line a way.
+"""Ways to compute the learnt force in JAX, side by side: `python -m studies.fitted_water.residual_ways`, one line a way.
 
     strips         no learnt force: the upper limit                products       matrix products in float32, as on a CPU
     rounded        the same, rounded to ten bits where the device may      split     the same, in three products of ten bits
@@ -94,7 +94,7 @@ def main(argv: list[str] | None = None) -> int:
     import jax
 
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="python -m fishmj.evaluate.bench.residual", description=__doc__, formatter_class=raw)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
     parser.add_argument("--engine", nargs="*", default=["planar"], choices=("planar", "mjx"))
     parser.add_argument("--fish", type=int, nargs="*", default=[surrogate_speed.FISH], help="of a batch; fewer on a CPU")
     parser.add_argument("--unroll", type=int, nargs="*", default=[1], help="physics steps that a round of the loop holds")
