@@ -45,7 +45,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     # two tables: parameters do not change from tick to tick, so their table can be made once
     given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=(), effects=())
     tables, places = zip(*map(_side_by_side, given), strict=True)
-    each = [residual_kernel.tables_of(residual_network.halves(np, one.net)) for one in nets]
+    each = [residual_kernel.tables_of(residual_network.halves(np, one.net), UNITS) for one in nets]
     weights = tuple(jnp.concatenate(tables) for tables in zip(*each, strict=True))
     nones = jnp.zeros(engine.steps, jnp.int32)
     reach = _reach(nets)
@@ -59,7 +59,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
 
         def step(k, carry):
             carry, (target, *later) = carry
-            network = partial(residual_kernel.network, weights, tanh=tanh, none=nones[k] & 1, together=UNITS)
+            network = partial(residual_kernel.network, weights, engine.chain.n, tanh=tanh, none=nones[k] & 1)
             added = replace(engine.added, nets=(Residual(network, _at(reach, own) if len(nets) > 1 else reach[0]),))
             return engine.step(added, *fixed, carry, target), [*later, target]
 

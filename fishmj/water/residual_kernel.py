@@ -79,7 +79,7 @@ def step(weights: Halves, m: MotionFeatures, z: list, dt: float, *, interpret: b
     tables = tables_of(weights)
     column, results = pl.BlockSpec((BLOCK,), lambda i: (i,)), 3 * links + 1 + WAKES
     out = pl.pallas_call(
-        partial(_kernel, dt=dt, inputs=len(given), tanh=tanh_of(interpret)),
+        partial(_kernel, dt=dt, inputs=len(given), links=links, tanh=tanh_of(interpret)),
         grid=((count + more) // BLOCK,),
         in_specs=[*[column] * len(given), *map(whole, tables)],
         out_specs=[column] * results,
@@ -103,8 +103,12 @@ def compiler(warps: int) -> dict[str, Any]:
     return {"compiler_params": triton.CompilerParams(num_warps=warps, num_stages=1)}
 
 
-def tables_of(weights: Halves) -> tuple:
-    """Weights in the order in which a kernel reads them: hidden units, members, products, wake states, one row each."""
+def tables_of(weights: Halves, together: int = 1) -> tuple:
+    """Weights in the order in which a kernel reads them: hidden units, biases, even and odd products, wake states.
+
+    A row holds what a round of a loop reads: hidden units, `together` or a smaller divisor of their number, a member's biases,
+    all products, all wake states. A compiler knows the column and adds it to the address of the row, which it computes.
+    """
     members, links, units = weights.forward.shape
     hidden = members * units
     out = jnp.concatenate([weights.forward, weights.aside], 1)  # (E, 3 N, H)
@@ -116,6 +120,8 @@ def tables_of(weights: Halves) -> tuple:
         jnp.swapaxes(weights.crossed, 0, 1),
         jnp.concatenate([inner[hidden:], weights.length], 1),
     )
+    rows = hidden // gcd(units, together), members, 1, 1, 1
+    tables = (jnp.reshape(table, (count, -1)) for table, count in zip(tables, rows, strict=True))
     return tuple(jnp.asarray(table, jnp.float32) for table in tables)
 
 
@@ -132,60 +138,59 @@ def tanh_of(interpret: bool):
     return lambda x: triton.elementwise_inline_asm(asm, args=[x], constraints="=f,f", pack=1, result_shape_dtypes=shape(x))[0]
 
 
-def _kernel(*refs, dt: float, inputs: int, tanh):
+def _kernel(*refs, dt: float, inputs: int, links: int, tanh):
     *x, speed = (ref[...] for ref in refs[:inputs])
     m = MotionFeatures(x[:-WAKES], speed, [], [], [])
-    coefficients, apart, wakes = network(refs[inputs : inputs + 5], m, x[-WAKES:], dt, tanh)
+    coefficients, apart, wakes = network(refs[inputs : inputs + 5], links, m, x[-WAKES:], dt, tanh)
     for ref, value in zip(refs[inputs + 5 :], [*sum(coefficients, []), apart, *wakes], strict=True):
         ref[...] = value
 
 
-def network(tables, m: MotionFeatures, z: list, dt: float, tanh, none=0, together: int = 1) -> tuple:
+def network(tables, links: int, m: MotionFeatures, z: list, dt: float, tanh, none=0) -> tuple:
     """Computes `residual_step.mean_step` inside a kernel.
 
     Args:
-        tables: references to the result of `tables_of`.
+        tables: references to the result of `tables_of`. links: of the fish.
         none: 0; in a loop of steps, a zero that is unknown to the compiler. Otherwise it would load the weights, equal in every
             step, before the loop: a thousand numbers for which no thread has registers.
-        together: greatest number of hidden units in a round of the loop; a divisor of their number is used.
     """
     units, biases, squares, crossed, wakes = tables
-    links, zero = squares.shape[1], 0.0 * m.speed
+    members, zero = biases.shape[0], 0.0 * m.speed
     even, odd = [*m.x[: links + 1], *z[:HALF]], [*m.x[links + 1 :], *z[HALF:]]
-    size = len(even)
+    size, first = len(even), 1 + len(even) + len(odd)  # a unit has `first` numbers, then those of its results
+    width = first + 3 * links
+    rounds = units.shape[0] // members
 
-    def branches(table, at):
-        """tanh of one unit in both branches of the mirror."""
-        p, q = table[at, 0] + zero, zero
+    def branches(table, row, at):
+        """tanh of the unit at column `at` in both branches of the mirror."""
+        p, q = table[row, at] + zero, zero
         for j, value in enumerate(even):
-            p = p + table[at, 1 + j] * value
+            p = p + table[row, at + 1 + j] * value
         for j, value in enumerate(odd):
-            q = q + table[at, 1 + size + j] * value
+            q = q + table[row, at + 1 + size + j] * value
         return tanh(p + q), tanh(p - q)
 
     ahead, aside = [zero] * links, [zero] * (2 * links)
     e, o = even[: links + 1], odd[: 2 * links]
     for k, value in enumerate(part[i] * other for part in (e, o) for i in range(len(part)) for other in part[i:]):
-        ahead = [total + squares[k + none, j] * value for j, total in enumerate(ahead)]
+        ahead = [total + squares[none, links * k + j] * value for j, total in enumerate(ahead)]
     for k, value in enumerate(one * other for one in e for other in o):
-        aside = [total + crossed[k + none, j] * value for j, total in enumerate(aside)]
-    members, first = biases.shape[0], 1 + size + len(odd)
-    count = units.shape[0] // members
-    together = gcd(count, together)
+        aside = [total + crossed[none, 2 * links * k + j] * value for j, total in enumerate(aside)]
 
     def member(number, carry):
         mean, square = carry
 
         def round_of(k, sums):
-            for h in range(together):
-                at = number * count + k * together + h
-                plus, minus = branches(units, at)
+            row = number * rounds + k
+            for at in range(0, units.shape[1], width):
+                plus, minus = branches(units, row, at)
                 both = [plus + minus] * links + [plus - minus] * (2 * links)
-                sums = [total + units[at, first + j] * value for j, (total, value) in enumerate(zip(sums, both, strict=True))]
+                ours = range(at + first, at + width)
+                sums = [total + units[row, j] * value for j, total, value in zip(ours, sums, both, strict=True)]
             return sums
 
         start = [total + biases[number, j] for j, total in enumerate(ahead)] + aside
-        g = [BOUND * tanh(total / BOUND) for total in lax.fori_loop(0, count // together, round_of, start)]
+        g = [BOUND * tanh(total / BOUND) for total in lax.fori_loop(0, rounds, round_of, start)]
         # Welford's sums: a variance far smaller than the mean's square keeps its digits
         off = [value - centre for value, centre in zip(g, mean, strict=True)]
         mean = [centre + away / (number + 1.0) for centre, away in zip(mean, off, strict=True)]
@@ -196,7 +201,7 @@ def network(tables, m: MotionFeatures, z: list, dt: float, tanh, none=0, togethe
     mean, square = lax.fori_loop(0, members, member, ([zero] * (3 * links), zero))
     later = []
     for k, before in enumerate([*even[-HALF:], *odd[-HALF:]]):
-        plus, minus = branches(wakes, k + none)
+        plus, minus = branches(wakes, none, k * (first + 1))
         target = 0.5 * (plus + minus if k < HALF else plus - minus)
-        later.append(target + (before - target) * jnp.exp(-dt * m.speed / wakes[k + none, first]))
+        later.append(target + (before - target) * jnp.exp(-dt * m.speed / wakes[none, k * (first + 1) + first]))
     return [mean[links * c : links * (c + 1)] for c in range(3)], square / (3 * links * max(members - 1, 1)), later
