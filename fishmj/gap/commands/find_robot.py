@@ -154,15 +154,17 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         notes=robot.notes,
     )
     e = found.evidence
-    verdict = with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
+    verdict = found.verdict
+    if not beside_unbelievable(verdict):
+        verdict = with_indistinguishable(verdict, e.model, e.records, found.gates, args.seed)
     return replace(found, verdict=without_stand_in(verdict))
 
 
 def robot_gates() -> Gates:
     """The gates for a robot in MJCF, whose noise is measured from its own logs."""
     own = thresholds().torques
-    further = own.min_gain_per_sample
-    return replace(frozen(), gain=own.gain, min_joint_gain=own.min_joint_gain, min_gain_per_sample=further)
+    asked = dict(gain=own.gain, min_joint_gain=own.min_joint_gain, min_gain_per_sample=own.min_gain_per_sample)
+    return replace(frozen(), rival_margin_abs=own.lead, **asked)
 
 
 def digest(path: Path) -> str:

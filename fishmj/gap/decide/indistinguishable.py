@@ -34,7 +34,7 @@ def with_indistinguishable(verdict: Verdict, model: RigidRobot, records: Sequenc
 
     records: RobotRecords of the search.
     """
-    if verdict.answer != "CLASS" or verdict.warnings or not verdict.rivals:
+    if verdict.answer != "CLASS" or not verdict.rivals:
         return verdict
     whitened = _Readings(model, drawn_motions(model, records, np.random.default_rng([seed, 11])))
     row = model.nothing
