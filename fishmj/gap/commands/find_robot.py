@@ -154,9 +154,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         notes=robot.notes,
     )
     e = found.evidence
-    verdict = found.verdict
-    if not beside_unbelievable(verdict):
-        verdict = with_indistinguishable(verdict, e.model, e.records, found.gates, args.seed)
+    verdict = with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
     return replace(found, verdict=without_stand_in(verdict))
 
 
