@@ -1,5 +1,6 @@
 """Searches of an arm in MJCF from its logs to the answer. All logs are *synthetic*."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -96,6 +97,23 @@ def test_residual_above_the_floor_is_no_name(sticky):
     v = require_residual_at_floor(sticky.verdict, poor)
     assert v.answer == "UNEXPLAINED" and v.gates["floors"] > 1.5 and v.effects == sticky.verdict.effects
     assert require_residual_at_floor(replace(sticky.verdict, answer="AGREES"), poor).answer == "AGREES"
+
+
+def test_model_that_agrees_by_its_own_tolerances_is_at_the_floor(sticky):
+    """A true robot that is far off in one constant leaves more than the floor, of which the constant is most."""
+    near = copy(sticky.found.near)
+    near.scale = near.scale / 3.0
+    off = replace(sticky, found=replace(sticky.found, fitted=sticky.found.fitted._replace(near=near)))
+    v = require_residual_at_floor(sticky.verdict, off)
+    assert v.answer == "NAMED" and v.gates["floors"] > 1.5 and v.gates["stated"] < 1.2
+
+
+def test_error_of_a_right_formula_is_nothing_and_constants_count_once(sticky):
+    """Null runs draw the constants, too: what is not linear in them widens S only where it is beyond those runs."""
+    e, near = sticky.evidence, sticky.found.near
+    assert near.form < 0.02
+    wider = np.maximum(near.with_model_error(0.0).d / e.d, 1.0)
+    assert np.mean(wider == 1.0) > 0.9, np.quantile(wider, [0.5, 0.9, 1.0])
 
 
 def test_healthy_arm_agrees(folder, arm):
