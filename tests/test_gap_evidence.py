@@ -20,7 +20,9 @@ def fitter():
     measured = 0.4 * slopes[0] + rng.standard_normal(SAMPLES)
     number = lambda name: Parameter(name=name, unit="1", low=-5.0, high=5.0, typical=(0.5, 1.0))
     active = SimpleNamespace(effects=[SimpleNamespace(parameters=(number("a"), number("b"), number("c")))])
-    model = SimpleNamespace(constants=(), null=np.zeros(3), active=active, predict=lambda records, rows: np.asarray(rows) @ slopes)
+    model = SimpleNamespace(
+        constants=(), null=np.zeros(3), active=active, predict=lambda records, rows: np.asarray(rows) @ slopes
+    )
     whiten = lambda residual: residual
     whiten.logdet = 0.0
     return slopes, measured, EffectFitter(model, [], SimpleNamespace(residuals=lambda seen: measured - seen), whiten)

@@ -71,7 +71,7 @@ class EffectFitter:
     def evidence(self, c: Candidate) -> float:
         """-2 log of the records' probability by a set of effects, whatever its values: of laws that fit alike the least leads.
 
-            loss + log det(1 + sd^2 J J^T)      Laplace's approximation (MacKay 1992), J per typical size, sd of the prior
+        loss + log det(1 + sd^2 J J^T)      Laplace's approximation (MacKay 1992), J per typical size, sd of the prior
         """
         (jac,) = self.slopes_of([c])
         width = np.linalg.slogdet(np.eye(len(jac)) + thresholds().fit.prior_sd ** 2 * jac @ jac.T)[1]
