@@ -99,11 +99,14 @@ def test_an_effect_that_no_drawn_motion_shows_keeps_its_rivals(pendulum):
     assert answer(pendulum, "air_drag", ["quadratic_friction@j1"], density=0.0).rivals
 
 
-def test_a_value_that_is_not_believable_is_not_named(pendulum):
+def test_a_value_that_is_not_believable_is_not_named_and_one_beside_torques_is(pendulum):
     model, records = pendulum
     v = answer(pendulum, "air_drag", ["viscous_friction@j1"])
-    doubted = replace(v, rivals=({"name": "quadratic_friction@j1", "instead_of": "air_drag", "p_best": 0.5},), warnings=("big",))
+    rivals = ({"name": "quadratic_friction@j1", "instead_of": "air_drag", "p_best": 0.5},)
+    doubted = replace(v, rivals=rivals, warnings=("air drag: density = 400 kg/m3 lies on its bound",))
     assert with_indistinguishable(doubted, model, records, frozen(), 0) == doubted
+    beside = replace(doubted, warnings=("torques of 1.3 N m at j1 are left that no effect explains",))
+    assert with_indistinguishable(beside, model, records, frozen(), 0).answer == "NAMED"
 
 
 def test_drawn_motions_go_beyond_those_of_the_logs_within_the_limits(pendulum):

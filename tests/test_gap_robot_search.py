@@ -1,5 +1,6 @@
 """Searches of an arm in MJCF from its logs to the answer. All logs are *synthetic*."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -96,6 +97,28 @@ def test_residual_above_the_floor_is_no_name(sticky):
     v = require_residual_at_floor(sticky.verdict, poor)
     assert v.answer == "UNEXPLAINED" and v.gates["floors"] > 1.5 and v.effects == sticky.verdict.effects
     assert require_residual_at_floor(replace(sticky.verdict, answer="AGREES"), poor).answer == "AGREES"
+
+
+def test_model_that_agrees_by_its_own_tolerances_is_at_the_floor(sticky):
+    """A true robot that is far off in one constant leaves more than the floor, of which the constant is most."""
+    near = copy(sticky.found.near)
+    near.scale = near.scale / 10.0
+    off = replace(sticky, found=replace(sticky.found, fitted=sticky.found.fitted._replace(near=near)))
+    v = require_residual_at_floor(sticky.verdict, off)
+    assert v.answer == "NAMED" and v.gates["floors"] > 1.5 and v.gates["stated"] < 1.2
+
+
+def test_formula_of_a_robot_may_be_right(sticky):
+    assert sticky.found.near.form < 0.02
+
+
+def test_constants_count_once_where_null_runs_draw_them(sticky):
+    """What is not linear in the constants widens S only where it is beyond the scatter of the null runs."""
+    e, row = sticky.evidence, sticky.found.best.row
+    twice = copy(e)
+    twice.origin, twice._null_scatter = twice, 0.0
+    once, both = (np.mean(one.linearised_at(row, 0.0).d / e.d) for one in (e, twice))
+    assert 1.0 <= once < both
 
 
 def test_healthy_arm_agrees(folder, arm):

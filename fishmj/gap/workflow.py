@@ -213,8 +213,10 @@ def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     """Veto for a robot in MJCF: the residual of records predicted without their fold comes down to the floor, else UNEXPLAINED.
 
-    One effect of the wrong form, or several wrong ones together, take most of a gap and stop above the floor. It is not asked of
-    effects that draw, or of a command in steps: no prediction has the draws, or the moment of each jump.
+    Or the model with the effects agrees by the description's own tolerances (gate G1): where one constant makes most of the
+    floor, a true robot that is two deviations off leaves four floors. One effect of the wrong form, or several wrong ones
+    together, take most of a gap and stop above both. It is not asked of effects that draw, or of a command in steps: no
+    prediction has the draws, or the moment of each jump.
     """
     model, found, most = inquiry.evidence.model, inquiry.found, thresholds().torques.floors
     if verdict.answer not in ("NAMED", "CLASS") or not isinstance(model, RigidRobot):
@@ -224,8 +226,12 @@ def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     if stepped or draws(model, names):
         return verdict
     left = found.fitted.over_floor(found.folds)
-    verdict = replace(verdict, gates=verdict.gates | {"floors": left})
-    if left <= most:
+    stated = inquiry.evidence.with_record_errors(model.with_errors(model.torque_tolerance, found.best.row))
+    near = stated.linearised_at(found.best.row, 0.0)
+    unseen = zip(found.folds, found.fitted.fits, strict=True)
+    gap = sum(near.subset(fold).at(fit.row).cost for fold, fit in unseen) / near.layout.size
+    verdict = replace(verdict, gates=verdict.gates | {"floors": left, "stated": gap})
+    if left <= most or gap <= inquiry.gates.adequacy:
         return verdict
     what = "they are" if len(names) > 1 else "it is"
     why = f"the residual of records not seen stops at {level(left)} floors, above {level(most)}; {what} tentative"

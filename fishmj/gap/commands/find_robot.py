@@ -161,8 +161,8 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
 def robot_gates() -> Gates:
     """The gates for a robot in MJCF, whose noise is measured from its own logs."""
     own = thresholds().torques
-    further = own.min_gain_per_sample
-    return replace(frozen(), gain=own.gain, min_joint_gain=own.min_joint_gain, min_gain_per_sample=further)
+    asked = dict(gain=own.gain, min_joint_gain=own.min_joint_gain, min_gain_per_sample=own.min_gain_per_sample)
+    return replace(frozen(), rival_margin_abs=own.lead, **asked)
 
 
 def digest(path: Path) -> str:

@@ -24,6 +24,7 @@ from fishmj.gap.search.fit import bounds
 from fishmj.gap.search.likelihood import draws
 from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import NamedEffect, PointValue, Verdict
+from fishmj.gap.wording import title
 
 LOGS, SEGMENTS = 3, 48  # whose stamps and commands are taken, and how many segments of them
 LOOKS = 30  # evaluations of a fit
@@ -32,9 +33,11 @@ LOOKS = 30  # evaluations of a fit
 def with_indistinguishable(verdict: Verdict, model: RigidRobot, records: Sequence[Any], gates: Gates, seed: int) -> Verdict:
     """The verdict of `decide` with rivals that are the same on this robot told as such, and NAMED if no other is left.
 
+    One with a value that is not believable stays as it is. Torques that are left beside the effects are no doubt about them.
     records: RobotRecords of the search.
     """
-    if verdict.answer != "CLASS" or verdict.warnings or not verdict.rivals:
+    doubted = any(w.startswith(f"{title(e.name)}: ") for e in verdict.effects for w in verdict.warnings)
+    if verdict.answer != "CLASS" or doubted or not verdict.rivals:
         return verdict
     whitened = _Readings(model, drawn_motions(model, records, np.random.default_rng([seed, 11])))
     row = model.nothing

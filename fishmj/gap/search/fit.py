@@ -68,6 +68,15 @@ class EffectFitter:
         """Cost + log det S of one parameter row, twice the negative log likelihood: comparable between different S."""
         return self.at(row).cost + self.whiten.logdet
 
+    def evidence(self, c: Candidate) -> float:
+        """-2 log of the records' probability by a set of effects, whatever its values: of laws that fit alike the least leads.
+
+        loss + log det(1 + sd^2 J J^T)      Laplace's approximation (MacKay 1992), J per typical size, sd of the prior
+        """
+        (jac,) = self.slopes_of([c])
+        width = np.linalg.slogdet(np.eye(len(jac)) + thresholds().fit.prior_sd ** 2 * jac @ jac.T)[1]
+        return c.cost + self.whiten.logdet + float(width)
+
     def at(self, row, names: tuple[str, ...] = (), places: tuple[int, ...] = (), added: int = 1) -> Candidate:
         """Candidate of a parameter row."""
         z = self.z(np.asarray(row)[None])

@@ -79,9 +79,10 @@ class Likelihood:
         self._left = leftover(null, self.layout)
         self._null_factors = null / np.sqrt(len(null))
         # The null runs draw their constants, too. The nonlinear part within the runs' scatter is smooth in time; on the
-        # diagonal it costs small effects more than they gain. For uncalibrated models this was not measured.
+        # diagonal it costs small effects more than they gain. For a fish in water of the literature this was not measured.
         self.calibrated = structural_error.applies(model)
-        self._null_scatter = np.mean(null**2, 0) if self.calibrated else 0.0
+        self.measured = self.calibrated or hasattr(model, "torque_tolerance")
+        self._null_scatter = np.mean(null**2, 0) if self.measured else 0.0
         self._launches = launch_error.factors(model, records, self.layout)
         self._cover(null, structural_error.widths() if widths is None else widths)
 
@@ -241,7 +242,7 @@ class Likelihood:
     def with_estimated_model_error(self, row: np.ndarray) -> "Likelihood":
         """Linearised at a row, with the form error that makes the records most likely: the accuracy of a formula is measured."""
         there = self.linearised_at(row)
-        finer = thresholds().model_error.fine_form_grid if self.calibrated else ()
+        finer = thresholds().model_error.fine_form_grid if self.measured else ()
         return there.with_model_error(there.response.most_likely_form(self._residuals(row[None])[0], finer))
 
     def tolerating(self, row: np.ndarray, gates: Gates) -> tuple["Likelihood", float]:

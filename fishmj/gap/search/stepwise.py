@@ -3,7 +3,8 @@
 screen      the whole catalogue on the few records with the largest excess
 share       one kind of effect at many joints of a robot, as one candidate (shared_effects.py)
 refine      the best of them on all records, and with an earlier choice swapped for another
-compare     the finalists by the likelihood linearised at each of them
+compare     the finalists by the likelihood linearised at each of them; of a robot in MJCF, whose laws are often nested, by the
+            evidence, in which each number costs what it can be fitted to (`EffectFitter.evidence`)
 accept      by the first one's gain on records predicted without their fold; a first effect also by its gain on
             all records at once and on each fold given the others, which determine the shared constants: the smaller of
             both
@@ -237,7 +238,8 @@ def propose(
         if base.cost - c.cost > limits.finalist_fraction * best_in_sample:
             finalists.append(relinearise(known.near.origin, c, 1))
         report(0.4 + 0.3 * (i + 1) / gates.finalists)
-    loss = [near.loss(best.row) for near, best in finalists]
+    judged = lambda fit, c: fit.evidence(c) if hasattr(fit.model, "torque_tolerance") else c.cost + fit.whiten.logdet
+    loss = [judged(near.subset(), best) for near, best in finalists]
     order = np.argsort(loss)
 
     # Further finalists are cross-validated, too: a mimic may be likelier on all records but fail on those held out.
@@ -261,13 +263,15 @@ def propose(
     if not accepted and not known.best.names:
         # A fold alone does not determine this fish's constants, so a small gap that all records share may be lost in each of
         # them. The gain is measured twice, with all records and with each fold given the others; the smaller one counts.
-        joint = min(whole.loss(known.best.row) - loss[first], known.conditional_loss(folds) - fitted.conditional_loss(folds))
+        near, best = finalists[first]
+        every = whole.loss(known.best.row) - near.loss(best.row)
+        joint = min(every, known.conditional_loss(folds) - fitted.conditional_loss(folds))
         if joint > gates.min_joint_gain:
             accepted, gain, asked = True, joint, gates.min_joint_gain
     if not accepted and beyond:
         accepted = beyond.gain(fitted, folds) > beyond.required
     ranked = [replace(finalists[i][1], cost=loss[i]) for i in (first, *(j for j in order if j != first))]
-    ranked += [replace(c, cost=c.cost + whole.whiten.logdet) for c in alone if c.newest[0] not in fitted.best.names]
+    ranked += [replace(c, cost=judged(whole, c)) for c in alone if c.newest[0] not in fitted.best.names]
     if not accepted:
         return SelectionStep(tuple(ranked), fitted, gain, False, asked=asked)
     near, moved = known.near, fitted.over_floor(folds)
