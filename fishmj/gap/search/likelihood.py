@@ -26,6 +26,7 @@ from copy import copy
 
 import numpy as np
 
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.null import launch_error, structural_error
 from fishmj.gap.null.structural_error import StructuralErrorScales
 from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, record_whitening, smooth, whitening
@@ -81,7 +82,7 @@ class Likelihood:
         # The null runs draw their constants, too. The nonlinear part within the runs' scatter is smooth in time; on the
         # diagonal it costs small effects more than they gain. For a fish in water of the literature this was not measured.
         self.calibrated = structural_error.applies(model)
-        self.measured = self.calibrated or hasattr(model, "torque_tolerance")
+        self.measured = self.calibrated or isinstance(model, RigidRobot)
         self._null_scatter = np.mean(null**2, 0) if self.measured else 0.0
         self._launches = launch_error.factors(model, records, self.layout)
         self._cover(null, structural_error.widths() if widths is None else widths)

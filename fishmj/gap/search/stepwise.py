@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects.ambiguity import together
+from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.progress import Bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
@@ -238,7 +239,7 @@ def propose(
         if base.cost - c.cost > limits.finalist_fraction * best_in_sample:
             finalists.append(relinearise(known.near.origin, c, 1))
         report(0.4 + 0.3 * (i + 1) / gates.finalists)
-    judged = lambda fit, c: fit.evidence(c) if hasattr(fit.model, "torque_tolerance") else c.cost + fit.whiten.logdet
+    judged = lambda fit, c: fit.evidence(c) if isinstance(fit.model, RigidRobot) else c.cost + fit.whiten.logdet
     loss = [judged(near.subset(), best) for near, best in finalists]
     order = np.argsort(loss)
 
