@@ -27,7 +27,7 @@ from fishmj.water import residual_kernel, residual_network
 from fishmj.water.residual_hooks import Residual
 
 BLOCK, WARPS = 128, 4  # fish a program, a power of two, and warps of 32 threads that share them
-UNITS = 8  # hidden units that a round of the loop holds
+UNITS = 4  # hidden units that a round of the loop holds
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
@@ -50,12 +50,20 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     nones = jnp.zeros(engine.steps, jnp.int32)
     reach = _reach(nets)
 
-    def kernel(*refs):
+    def kernel(net, *refs):
+        if len(nets) == 1:
+            swim(None, 0, *refs)
+        else:  # nothing else is read before: most programs end here
+            own = pl.program_id(1)
+            mine = net[...] == own
+            pl.when(jnp.max(mine.astype(jnp.int32)) > 0)(lambda: swim(mine, own, *refs))
+
+    def swim(mine, own, *refs):
         held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
         (state, targets, flow, ambient), params = held
         nones, *weights, out = refs[len(held) :]
         fixed = swimmer(params), (), pairs(flow), columns(ambient)
-        tanh, own = residual_kernel.tanh_of(interpret), pl.program_id(1)
+        tanh = residual_kernel.tanh_of(interpret)
 
         def step(k, carry):
             carry, (target, *later) = carry
@@ -63,33 +71,33 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
             added = replace(engine.added, nets=(Residual(network, _at(reach, own) if len(nets) > 1 else reach[0]),))
             return engine.step(added, *fixed, carry, target), [*later, target]
 
-        def swim(mine=None):
-            _, steps, joints = targets.shape
-            commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
-            carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
-            triton.store(out, _joined(jax.tree.leaves(carry)), mask=mine)
-
-        if len(nets) == 1:
-            swim()
-        else:
-            mine = params.net[:] == own.astype(jnp.float32)
-            there = jnp.max(mine.astype(jnp.float32)) > 0
-            pl.when(there)(lambda: swim(jnp.broadcast_to(mine[:, None], out.shape)))
+        _, steps, joints = targets.shape
+        commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
+        carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
+        triton.store(
+            out, _joined(jax.tree.leaves(carry)), mask=None if mine is None else jnp.broadcast_to(mine[:, None], out.shape)
+        )
 
     # copies of the last fish fill up the last block: their numbers are valid in every division
     rows = [jnp.pad(table, ((0, -count % BLOCK), (0, 0)), mode="edge") for table in tables]
+    net = jnp.pad(jnp.asarray(params.net, jnp.int32), (0, -count % BLOCK), mode="edge")
     ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # of what comes out, power the last
     block = lambda width: pl.BlockSpec((BLOCK, width), lambda i, own: (i, 0))
     mine = lambda a: pl.BlockSpec((len(a) // len(nets), a.shape[1]), lambda i, own: (own, 0))
     out = pl.pallas_call(
         kernel,
         grid=(len(rows[0]) // BLOCK, len(nets)),
-        in_specs=[*(block(table.shape[1]) for table in rows), residual_kernel.whole(nones), *map(mine, weights)],
+        in_specs=[
+            pl.BlockSpec((BLOCK,), lambda i, own: (i,)),
+            *(block(table.shape[1]) for table in rows),
+            residual_kernel.whole(nones),
+            *map(mine, weights),
+        ],
         out_specs=block(_power(ends[-1] + 1)),
         out_shape=jax.ShapeDtypeStruct((len(rows[0]), _power(ends[-1] + 1)), jnp.float32),
         interpret=interpret,
         **({} if interpret else residual_kernel.compiler(WARPS)),
-    )(*rows, nones, *weights)
+    )(net, *rows, nones, *weights)
     q, v, attached, memory, power = jnp.split(out[:count, : ends[-1] + 1], ends, 1)
     return FishState(q, v, attached[:, 0], (), memory), power[:, 0]
 
