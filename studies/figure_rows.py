@@ -65,9 +65,8 @@ def judged(label: str) -> list[float]:
     """`station, plain` -> arrivals, trials, RMSE after arrival with its interval, RMSE of the last 20 s, power."""
     name, _, water = label.partition(", ")
     former = {new: old for old, new in FORMER.items()}.get(name, name)
-    if water == "reference-2":
-        rows = [row for row in table(SOLVED / "judged_reference.csv") if (row["water"], row["controller"]) == (water, name)]
-    else:
+    rows = [row for row in table(SOLVED / "judged_reference.csv") if (row["water"], row["controller"]) == (water, name)]
+    if water == "plain":
         rows = [row for row in table(SOLVED / "judged_trials.csv") if row["controller"] == former]
     after = estimate("rmse_after_arrival", column(rows, "rmse_after_arrival"))
     means = [float(np.nanmean(column(rows, key))) for key in ("rmse_last20", "power")]
