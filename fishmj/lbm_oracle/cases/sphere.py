@@ -8,7 +8,6 @@ beside it: at Re 200 it gives 0.806, where the fit of that range gives 0.775 and
 in the validation scripts of the solver CubismUP_3D). Clift's fit was read in the package fluids 1.3.1 and in PetIBM's examples.
 
     torque       M = 8 pi nu rho R^3 omega / (1 - (R / b)^3) of a slow turn inside a shell of radius b    Lamb, art. 334
-    street       C_D 0.656, St 0.137 at Re 300                          Johnson and Patel 1999, J. Fluid Mech. 378:19
 
 The added mass is measured on a frictionless sphere (slip = 1), whose flow is a potential flow without Stokes' or Basset's force.
 The interior water adds m_f exactly; a free sphere is pushed with and without it.
@@ -30,7 +29,6 @@ from fishmj.water.flow import Flow
 
 STREAM = 0.05  # lattice units
 CLIFT = "Clift et al. 1978, formula"
-STREET = "Johnson and Patel 1999"
 
 
 def ball(radius: float, lattice: Lattice, *, density: float = 1.0, at=(0.0, 0.0, 0.0)) -> ImmersedBody:
@@ -145,33 +143,10 @@ def torque(radius: float, half: int, device: str, *, nu: float = 0.1, spin: floa
     return abs(found.mean()) / (8 * pi * nu * radius**3 * turn) * (1 - (radius / half) ** 3)
 
 
-def wake(reynolds: float, cells: int, device: str, *, times: float = 100.0, box=(13, 9, 9)) -> tuple[float, float]:
-    """C_D and St of a sphere of `cells` cells that sheds a wake, means over the last two fifths of `times` D / U.
-
-    It stands 4.5 D behind the inlet and is pushed aside and back by 0.2 D in the first four.
-    """
-    turn = cells / STREAM
-    scene = Scene(np.multiply(box, cells), 1.0, STREAM * cells / reynolds, STREAM, rho=1.0, dt=1.0, device=device)
-    aside = lambda t: (0.1 * cells * (1 - np.cos(2 * pi * min(t / (4 * turn), 1.0))),)
-    scene.add(sphere(cells), at=[4.5 * cells] * 3, joints=("slide y",), motion=aside)
-    scene.run(times * turn, every=20)
-    return scene.drag_coefficient(0.4 * times * turn), scene.strouhal(0.4 * times * turn)
-
-
 @register("sphere_rotating", rung=7.15, grid="48^3, R = 8", source="Lamb, Hydrodynamics, art. 334", cost="30 s")
 def sphere_rotating(device):
     """A sphere that turns slowly in water at rest: its torque."""
     yield about("torque over the exact one, R = 8", torque(8.0, 24, device), 1.0, 0.08)
-
-
-@register(
-    "sphere_300", rung=7.18, grid="260 x 180 x 180, D = 20", source="Johnson, Patel 1999", cost="GPU, 340 G updates", gpu=True
-)
-def sphere_300(device):
-    """A sphere at Re 300, whose wake sheds: drag and Strouhal number."""
-    drag, strouhal = wake(300.0, 20, device)
-    yield about("C_D at Re 300, D = 20", drag, 0.656, 0.04)
-    yield about("St at Re 300, D = 20", strouhal, 0.137, 0.08)
 
 
 @register("sphere_towed", rung=7.2, grid="72 x 56 x 56, D = 8", source="Galileo", cost="1 min")
