@@ -121,8 +121,7 @@ def tables_of(weights: Halves, together: int = 1) -> tuple:
         jnp.concatenate([inner[hidden:], weights.length], 1),
     )
     rows = hidden // gcd(units, together), members, 1, 1, 1
-    tables = (jnp.reshape(table, (count, -1)) for table, count in zip(tables, rows, strict=True))
-    return tuple(jnp.asarray(table, jnp.float32) for table in tables)
+    return tuple(jnp.reshape(jnp.asarray(table, jnp.float32), (count, -1)) for table, count in zip(tables, rows, strict=True))
 
 
 def tanh_of(interpret: bool):
