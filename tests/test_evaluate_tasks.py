@@ -120,10 +120,10 @@ def test_command_judges_a_task_and_refuses_what_it_does_not_have(capsys):
 
 
 def test_cells_of_the_tank_keep_its_size_and_divide_a_bus_tick():
-    water = asked_for("evaluate", False, "paper", 0.985, dx=0.015)
+    water = asked_for("evaluate", None, "paper", 0.985, dx=0.015)
     box = water.box
     assert box.size == pytest.approx(preset("paper").size, abs=0.01) and box.dx == 0.015
     assert 0.02 / box.dt == pytest.approx(7) and "cells of 15 mm" in water.label
     assert preset("paper").with_cells(0.04).dt == preset("paper").dt, "no longer than the robot's step"
     with pytest.raises(ConfigError, match="--dx 0.015 beside --reference"):
-        asked_for("evaluate", True, None, None, dx=0.015)
+        asked_for("evaluate", "reference-2", None, None, dx=0.015)

@@ -129,7 +129,8 @@ def test_cases_for_an_accelerator_are_left_out_on_the_cpu_unless_named():
 def test_a_study_takes_time_steps_that_divide_the_tick():
     keys = converge_fish.study(("drag",), (0.02, 1 / 150), (1, 2), (1.0,))
     assert [(k.dx, k.dt) for k in keys] == [(0.02, 0.004), (0.02, 0.002), (0.0066667, 0.0013333), (0.0066667, 0.0006667)]
-    fine = converge_fish.box("window", keys[-1])
+    fine = converge_fish.box("window", keys[-1], 2e-5)
+    assert fine.nu == 2e-5
     assert fine.shape == (288, 192, 120) and 0.02 / fine.dt == pytest.approx(30, rel=1e-12)
     with pytest.raises(ConfigError, match="nearest: dx = 0.016"):
         converge_fish.study(("drag",), (0.017,), (1,), (1.0,))

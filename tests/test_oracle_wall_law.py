@@ -145,7 +145,7 @@ def test_wall_stress_on_the_device_is_the_hosts(warps):
 
 
 def test_wall_stress_replaces_the_slip_ratio():
-    assert asked_for("evaluate", False, None, None, boundary="wall_stress").sharpness == BOUNDARIES["wall_stress"]
+    assert asked_for("evaluate", None, None, None, boundary="wall_stress").sharpness == BOUNDARIES["wall_stress"]
     with pytest.raises(ConfigError, match="slip = 0.98 with a law"):
         SwimSetup(domain=POND, sharpness=WALL_STRESS, slip=0.98).coupled()
     height = fish_markers("fish", 0.02, sharpness=WALL_STRESS).law_height
