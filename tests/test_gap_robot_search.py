@@ -113,7 +113,7 @@ def test_formula_of_a_robot_may_be_right(sticky):
 
 
 def test_constants_count_once_where_null_runs_draw_them(sticky):
-    """What is not linear in the constants widens S only where it is beyond the scatter of the null runs."""
+    """S is wider for what is not linear in the constants only where that exceeds the scatter of the null runs."""
     e, row = sticky.evidence, sticky.found.best.row
     twice = copy(e)
     twice.origin, twice._null_scatter = twice, 0.0

@@ -83,7 +83,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     net = jnp.pad(jnp.asarray(params.net, jnp.int32), (0, -count % BLOCK), mode="edge")
     ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # of what comes out, power the last
     block = lambda width: pl.BlockSpec((BLOCK, width), lambda i, own: (i, 0))
-    mine = lambda a: pl.BlockSpec((len(a) // len(nets), a.shape[1]), lambda i, own: (own, 0))
+    of_residual = lambda a: pl.BlockSpec((len(a) // len(nets), a.shape[1]), lambda i, own: (own, 0))
     out = pl.pallas_call(
         kernel,
         grid=(len(rows[0]) // BLOCK, len(nets)),
@@ -91,7 +91,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
             pl.BlockSpec((BLOCK,), lambda i, own: (i,)),
             *(block(table.shape[1]) for table in rows),
             residual_kernel.whole(nones),
-            *map(mine, weights),
+            *map(of_residual, weights),
         ],
         out_specs=block(_power(ends[-1] + 1)),
         out_shape=jax.ShapeDtypeStruct((len(rows[0]), _power(ends[-1] + 1)), jnp.float32),
