@@ -8,12 +8,15 @@ beside it: at Re 200 it gives 0.806, where the fit of that range gives 0.775 and
 in the validation scripts of the solver CubismUP_3D). Clift's fit was read in the package fluids 1.3.1 and in PetIBM's examples.
 
     torque       M = 8 pi nu rho R^3 omega / (1 - (R / b)^3) of a slow turn inside a shell of radius b    Lamb, art. 334
+    wake         C_D = 0.656, St = f D / U = 0.137 at Re 300                          Johnson, Patel 1999, J. Fluid Mech. 378:19
 
 The added mass is measured on a frictionless sphere (slip = 1), whose flow is a potential flow without Stokes' or Basset's force.
 The interior water adds m_f exactly; a free sphere is pushed with and without it.
 """
 
-from math import pi
+from dataclasses import replace
+from math import cos, pi
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +26,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.immersed.markers import sphere_markers
+from fishmj.lbm_oracle.immersed.markers import FINS, sphere_markers
 from fishmj.lbm_oracle.scene import Scene, sphere
 from fishmj.water.flow import Flow
 
@@ -147,6 +150,31 @@ def torque(radius: float, half: int, device: str, *, nu: float = 0.1, spin: floa
 def sphere_rotating(device):
     """A sphere that turns slowly in water at rest: its torque."""
     yield about("torque over the exact one, R = 8", torque(8.0, 24, device), 1.0, 0.08)
+
+
+def wake(cells: int, device: str, *, reynolds: float = 300.0, times: float = 100.0) -> tuple[float, float]:
+    """C_D and St of a held sphere with boundary `fins`, over the last 40 % of `times` D / U, in a box of 13 x 9 x 9 D.
+
+    The sphere goes aside by D / 5 and back in the first four D / U: undisturbed, its wake stays steady.
+    """
+    turn, size = cells / STREAM, float(cells)
+    box: dict[str, Any] = {"rho": 1.0, "dt": 1.0, "device": device}
+    held = Scene((13 * size, 9 * size, 9 * size), 1.0, STREAM * size / reynolds, STREAM, **box)
+    body = replace(sphere(size), markers=lambda dx: sphere_markers(size / 2, dx, sharpness=FINS))
+    aside = lambda t: (0.1 * size * (1 - cos(2 * pi * min(t / (4 * turn), 1.0))),)
+    held.add(body, at=(4.5 * size, 4.5 * size, 4.5 * size), joints=("slide y",), motion=aside)
+    held.run(times * turn, every=20)
+    last = 0.4 * times * turn
+    return held.drag_coefficient(last), held.strouhal(last)
+
+
+@register("sphere_wake", rung=7.17, grid="260 x 180 x 180, D = 20", source="Johnson, Patel 1999, J. Fluid Mech. 378:19",
+          cost="GPU, 1 min", gpu=True)  # fmt: skip
+def sphere_wake(device):
+    """A held sphere at Re 300, which sheds."""
+    drag_coefficient, strouhal = wake(20, device)
+    yield about("C_D at Re 300, D = 20", drag_coefficient, 0.656, 0.04)
+    yield about("St at Re 300, D = 20", strouhal, 0.137, 0.08)
 
 
 @register("sphere_towed", rung=7.2, grid="72 x 56 x 56, D = 8", source="Galileo", cost="1 min")
