@@ -7,8 +7,10 @@ import pytest
 from robot_arm import ARM
 from test_gap_robot import named, records_of, verdict_of
 
+from fishmj.effects.ambiguity import series_at
 from fishmj.gap.commands.apply_robot import apply_robot
 from fishmj.gap.commands.find_robot import by_effect
+from fishmj.gap.decide.decide import truncated_series
 from fishmj.gap.decide.indistinguishable import drawn_motions, with_indistinguishable
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
@@ -123,3 +125,13 @@ def test_apply_takes_what_is_the_same_for_an_error_of_a_sensor(arm, tmp_path):
     told = apply_robot(tmp_path, verdict_of(arm[0].robot, "NAMED", late), None, False)
     assert "command latency stands for joint sensor delay, the same on this robot, which MJCF does not hold" in told["reason"]
     assert read_robot(told["path"]).delays.tolist() == [0.02, 0.02]
+
+
+def test_a_torque_offset_beside_a_stiffness_is_the_start_of_any_torque_over_the_angle(pendulum):
+    assert series_at(["torque_offset@j1", "joint_stiffness@j2", "torque_offset@j2", "payload@j1"]) == ("j2",)
+    (doubt,) = truncated_series(["joint_stiffness@j1", "torque_offset@j1"])
+    assert truncated_series(["joint_stiffness@j1", "torque_offset@j2"]) == ()
+    model, records = pendulum
+    v = answer(pendulum, "torque_offset@j1", ["com_offset@b1"])
+    doubted = replace(v, answer="CLASS", warnings=(doubt,))
+    assert with_indistinguishable(doubted, model, records, frozen(), 0) == doubted  # no name by a rival that is the same

@@ -3,9 +3,12 @@
 Until that experiment is done, a verdict must name the class and not a member.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from fishmj.effects.effect import kind_of, site_of
+
+SERIES = ("torque_offset", "joint_stiffness")  # tau(q) = o - k (q - q_rest) + ..: a robot's joint, any torque over its angle
 
 
 class AmbiguityClass(NamedTuple):
@@ -99,3 +102,12 @@ def containing(effect: str) -> tuple[AmbiguityClass, ...]:
 def together(one: str, other: str) -> AmbiguityClass | None:
     """The class that holds both effects, or None."""
     return next((c for c in containing(one) if kind_of(other) in c.effects), None) if site_of(one) == site_of(other) else None
+
+
+def series_at(names: Iterable[str]) -> tuple[str, ...]:
+    """The joints at which both first terms of a torque over the angle are among the names.
+
+    A cable that pulls from an angle on, a soft stop and a spring of another rest angle begin alike.
+    """
+    given = [{site_of(name) for name in names if kind_of(name) == term} for term in SERIES]
+    return tuple(sorted(set.intersection(*given)))

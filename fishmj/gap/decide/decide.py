@@ -9,7 +9,8 @@
     G6 size         the size varies between records within its limit            else UNEXPLAINED, the best shown as tentative
     G7 transfer     no more than a fifth of the records get worse, held out     else UNEXPLAINED
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G9 sanity       no parameter on a bound, no implausible size                else CLASS with a warning
+    G9 sanity       no parameter on a bound, no implausible size, no start of   else CLASS with a warning
+                    a series in a joint's angle
     G10 force       no free force explains more, held out (terms/stronger.py)   else UNEXPLAINED
 
 G1 and G2 only stop a search that accepted nothing (search/stepwise.py), or one effect that chance explains. The others test
@@ -39,11 +40,12 @@ Secondary effects: the error of one effect's formula may look like another. An e
 Nor does it spoil the name of the large ones. The thresholds are those of [secondary] in data/calib/gap.toml.
 """
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from fishmj.effects.ambiguity import containing, together
+from fishmj.effects.ambiguity import SERIES, containing, series_at, together
 from fishmj.effects.effect import Parameter, site_of
 from fishmj.gap.decide.intervals import drawn_places, estimate
 from fishmj.gap.models.rigid_robot import RigidRobot
@@ -119,13 +121,20 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     kept = tuple(n for n in valued if n.name not in dropped)
     checks["pinned"] = needs_exact_value(e, found.best.names)
     rivals = tuple(asdict(r) | {"instead_of": n.name} for n in kept for r in stand[n.name].rivals)
-    warnings = tuple(w for n in kept for w in doubts[n.name])
+    warnings = (*(w for n in kept for w in doubts[n.name]), *truncated_series(n.name for n in kept))
     whole: dict = dict(effects=kept, rivals=rivals, warnings=warnings, explained=checks["closure"])
     whole |= plain | dict(gap_after=found.near.gap(found.best.row)[0], tentative=tuple(n for n in effects if n.name in dropped))
     whole |= {"over_floor": {"searched": tuple(e.over_floor(c.row)[0] for c in (found.base, found.best))}}
     shrinks = Verdict("", **whole).shrinks
     answer, reason = _answer(checks, gates, kept, stand, rivals, warnings, shrinks)
     return Verdict(answer, reason=reason, **whole)
+
+
+def truncated_series(names: Iterable[str]) -> tuple[str, ...]:
+    """Doubts about torque offsets found beside the stiffness of their joint."""
+    alike = "a torque of any form over the joint's angle begins: of a cable, a soft stop, a spring of another rest angle"
+    pairs = ([title(f"{term}@{joint}") for term in SERIES] for joint in series_at(names))
+    return tuple(f"{offset}: with {stiffness} it is how {alike}" for offset, stiffness in pairs)
 
 
 def needs_exact_value(e: Likelihood, names) -> bool:
