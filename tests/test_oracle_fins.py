@@ -13,7 +13,7 @@ from fishmj.lbm_oracle.immersed.markers import EDGES, FINS, LAYER, PLAIN, Sharpn
 from fishmj.lbm_oracle.immersed.snapshot import resume, snapshot
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_name
+from fishmj.lbm_oracle.run.solver_water import boundary_name
 
 POND = Domain(name="pond", shape=(44, 32, 20), dx=0.02, dt=0.004, sponge=4)
 
@@ -112,7 +112,7 @@ def test_a_light_free_sheet_does_not_vibrate():
 @pytest.mark.parametrize("warps", [False, True])
 def test_layers_on_the_device_are_the_hosts(warps):
     command = 0.5 * np.sin(0.3 * np.arange(10)[:, None] - np.arange(3))
-    one, other, plain = (SwimSetup(domain=POND, sharpness=BOUNDARIES[name]).coupled() for name in ("fins", "fins", "edges"))
+    one, other, plain = (SwimSetup(domain=POND, sharpness=s).coupled() for s in (FINS, FINS, EDGES))
     steps = DeviceSteps(other, 5, warps=warps)
     for n, target in enumerate(command):
         for each in (one, plain):

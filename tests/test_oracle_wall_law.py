@@ -16,7 +16,7 @@ from fishmj.lbm_oracle.immersed import wall_law
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.device_steps import DeviceSteps
-from fishmj.lbm_oracle.immersed.markers import WALL_STRESS, Markers, fish_markers
+from fishmj.lbm_oracle.immersed.markers import EDGES, WALL_STRESS, Markers, fish_markers
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, asked_for, study_slips
@@ -149,7 +149,7 @@ def test_wall_stress_replaces_the_slip_ratio():
     with pytest.raises(ConfigError, match="slip = 0.98 with a law"):
         SwimSetup(domain=POND, sharpness=WALL_STRESS, slip=0.98).coupled()
     height = fish_markers("fish", 0.02, sharpness=WALL_STRESS).law_height
-    assert height == 0.015 and fish_markers("fish", 0.02, sharpness=BOUNDARIES["edges"]).law_height is None
+    assert height == 0.015 and fish_markers("fish", 0.02, sharpness=EDGES).law_height is None
 
 
 def test_wall_stress_in_finer_cells_on_the_device_is_the_hosts():
@@ -177,7 +177,7 @@ def test_law_of_the_wall_needs_water_as_far_as_it_looks(fine, message):
 
 
 def test_studies_leave_the_slip_ratio_to_the_law():
-    assert study_slips("speeds", None, "edges", (0.5, 1.0)) == [0.5, 1.0] and study_slips("speeds", [0.9], "edges", ()) == [0.9]
+    assert study_slips("speeds", None, "fins", (0.5, 1.0)) == [0.5, 1.0] and study_slips("speeds", [0.9], "fins", ()) == [0.9]
     assert study_slips("speeds", None, "wall_stress", (0.5, 1.0)) == [1.0]
     with pytest.raises(ConfigError, match="speeds: --slips beside --boundary wall_stress"):
         study_slips("speeds", [0.9], "wall_stress", ())

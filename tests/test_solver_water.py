@@ -15,7 +15,7 @@ from fishmj.hydro_fit.campaign.data import collect
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
-from fishmj.lbm_oracle.immersed.markers import SHARP, Sharpness
+from fishmj.lbm_oracle.immersed.markers import FINS, Sharpness
 from fishmj.lbm_oracle.run.domain import EVERY, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, PLAIN, REFERENCE, REFERENCES, asked_for, boundary_name
@@ -67,8 +67,8 @@ def test_chosen_boundary_enters_water_label_and_trial_fingerprint():
     rims = asked_for("evaluate", None, None, 0.98, boundary="rims")
     assert rims.sharpness == Sharpness(rim=1.0) and rims.immersed["sharpness"] == rims.sharpness
     assert rims.label == "paper, slip 0.98, boundary rims" and asked_for("evaluate", None, None, 0.98).label == "paper, slip 0.98"
-    with pytest.raises(ConfigError, match="--boundary sharp beside --reference"):
-        asked_for("evaluate", REFERENCE.name, None, None, boundary="sharp")
+    with pytest.raises(ConfigError, match="--boundary fins beside --reference"):
+        asked_for("evaluate", REFERENCE.name, None, None, boundary="fins")
     brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
     marks = {run_trials.fingerprint(brain, robot, trials(), PLAIN._replace(sharpness=edge)) for edge in BOUNDARIES.values()}
     assert len(marks) == len(BOUNDARIES) and run_trials.fingerprint(brain, robot, trials(), PLAIN) in marks
@@ -89,8 +89,8 @@ def test_half_precision_has_its_own_label_and_fingerprint_and_no_reference():
 
 
 def test_a_boundary_has_its_name_or_says_its_lengths():
-    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "sharp", "edges", "fins", "wall_stress"]
-    assert BOUNDARIES["sharp"] == SHARP and boundary_name(Sharpness()) == "plain"
+    assert [boundary_name(BOUNDARIES[name]) for name in BOUNDARIES] == ["plain", "rims", "fins", "wall_stress"]
+    assert BOUNDARIES["fins"] == FINS and boundary_name(Sharpness()) == "plain"
     assert "rim=0.9" in boundary_name(Sharpness(rim=0.9))
 
 
@@ -100,7 +100,7 @@ def test_a_swims_log_and_a_segments_grid_say_their_boundary():
     run.tick([0.0, 0.0, 0.0])
     assert run.trial().value("oracle.boundary") == "rims"
     about = lambda edge: Setup(domain=tiny, device="cpu", sharpness=edge).about["grid"]
-    assert about(BOUNDARIES["sharp"])["boundary"] == "sharp" and "boundary" not in about(BOUNDARIES["plain"])
+    assert about(BOUNDARIES["fins"])["boundary"] == "fins" and "boundary" not in about(BOUNDARIES["plain"])
 
 
 def test_a_table_of_solver_swims_is_found_by_its_grid_and_boundary():

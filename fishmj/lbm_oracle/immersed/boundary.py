@@ -96,7 +96,7 @@ class Boundary:
         if width != LAYER_WIDTH and markers.layer is not None and markers.layer.any():
             raise ConfigError(
                 f"immersed boundary: a kernel of {width} points for markers with a layer of water (boundary fins), which was"
-                f" measured for {LAYER_WIDTH} points; take width = {LAYER_WIDTH} (--kernel {LAYER_WIDTH}), or boundary edges"
+                f" measured for {LAYER_WIDTH} points; take width = {LAYER_WIDTH} (--kernel {LAYER_WIDTH}), or boundary rims"
             )
         apart = float(np.sqrt(np.median(markers.area)))
         check_spacing(lattice, apart / ROOM if apart > lattice.dx else apart * ROOM, "immersed boundary")

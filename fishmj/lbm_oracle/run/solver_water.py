@@ -23,10 +23,8 @@ from fishmj.mjcf import Robot, load_robot
 BOUNDARIES = {
     "plain": markers.PLAIN,  # markers as shipped data were made with
     "rims": Sharpness(rim=1.0),  # fins and tail end about where they do; for hulls with a slip ratio
-    "sharp": markers.SHARP,  # hulls too, with slip lengths: for water that sticks, --slip 0
-    "edges": markers.EDGES,  # and the edges of thin hulls, where the water leaves them
-    "fins": markers.FINS,  # and the water that a sheet takes along is given back: the added mass of fins
-    "wall_stress": markers.WALL_STRESS,  # as edges; a law for the stress of the wall sets the slip ratio of each marker
+    "fins": markers.FINS,  # hulls, edges and fins where they are, added mass of fins: for all that is new
+    "wall_stress": markers.WALL_STRESS,  # without that added mass; a law for the wall's stress sets the slip ratio of each marker
 }
 
 
@@ -58,11 +56,9 @@ def viscosity_option(add: Callable[..., Any]) -> None:
 
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:
     """Adds the option `--boundary` to a command; `add` is its parser's method."""
-    words = "treatment of the hull. rims: fins drawn in. sharp: hulls too, and slip lengths, for --slip 0. edges: as sharp, and"
-    words += (
-        " the edges of hulls, for tails 1 to 5 cells thick. fins: as edges, and the added mass of fins. wall_stress: as edges,"
-    )
-    words += " friction from a law of the wall in place of --slip. Default plain"
+    words = "treatment of the hull. plain: as shipped waters. rims: fins drawn in, as in reference-2. fins: hulls, edges and fins"
+    words += " drawn in, and the added mass of fins; for all that is new. wall_stress: a law of the wall in place of --slip."
+    words += " Default plain"
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
 
 
