@@ -45,7 +45,8 @@ STRIPS = "fd800b9bc1b98f70f59f79be8e3c77f6c132131a16b94082d36bf562966f3e89"  # b
 ADVISED = "d891ef68f617eff224cdc76b455da9562231f5ad7e356bf55490d2a9bce79424"  # words of an error alone
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
 SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED), SHIPPED)
-SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD}  # of segments with a law of the wall; SPREAD gives the water its force over a layer
+# of segments with a law of the wall; SPREAD gives the water its force over a layer
+SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD}
 
 
 @cache
