@@ -403,7 +403,7 @@ class Scene:
 
     @property
     def frontal_area(self) -> float:
-        """Area of the union of all bodies where they begin, seen along the stream, m2; of a flat flow per metre of span, m."""
+        """Area of the union of all bodies where they begin, seen along the stream, m2; of a flat flow m2 per metre of span."""
         return self._bodies().front
 
     @property
@@ -432,7 +432,7 @@ class Scene:
         return (
             f"{grid}, {round(made.width / lattice.dx, 1):g} across the body, Re {self.stream * made.size / lattice.nu:.4g} on D ="
             f" {1e3 * made.size:.4g} mm, {wave}\n{ahead:.3g} D to the inlet, {behind:.3g} D behind, {wide} D wide, frontal area"
-            f" {self.frontal_area:.4g} {'m' if self.flat else 'm2'}, blockage {100 * self.blockage:.2g} %"
+            f" {self.frontal_area:.4g} {'m2/m' if self.flat else 'm2'}, blockage {100 * self.blockage:.2g} %"
         )
 
 

@@ -43,16 +43,16 @@ class GridStudy(NamedTuple):
 
     def __str__(self) -> str:
         """The table and the verdict, in lines."""
-        rows = [f"dx = {dx:<10.4g} {value:.5g}" for dx, value in zip(self.dx, self.values, strict=True)]
-        found = f"order {self.order:.2f}, limit {self.limit:.4g}"
+        rows = [f"dx = {dx:<10.4g} {_digits(value, 5)}" for dx, value in zip(self.dx, self.values, strict=True)]
+        found = f"order {self.order:.2f}, limit {_digits(self.limit, 4)}"
         if self.order != self.order:
             found = "the series turns, or its order is below 0.5: three times its range"
         elif self.limit != self.limit:
             found = f"order {self.order:.2f} is above {ORDERS[1]} and not believed: three times what order {SCHEME:g} leaves"
         if self.uncertainty != self.uncertainty:
-            found = "the differences grow: not yet in the range where the error falls with the cell"
-            return "\n".join([*rows, f"{self.values[-1]:.4g}, no uncertainty ({found})"])
-        return "\n".join([*rows, f"{self.values[-1]:.4g} +- {self.uncertainty:.2g} by the grid alone ({found})"])
+            found = "the differences grow: not yet in the range where the error falls with the cell; take smaller ones"
+            return "\n".join([*rows, f"{_digits(self.values[-1], 4)}, no uncertainty ({found})"])
+        return "\n".join([*rows, f"{_digits(self.values[-1], 4)} +- {self.uncertainty:.2g} by the grid alone ({found})"])
 
 
 def grid_study(function: Callable[[float], float], dx: Sequence[float]) -> GridStudy:
@@ -92,3 +92,8 @@ def judged(dx: tuple[float, ...], values: tuple[float, ...]) -> GridStudy:
         return GridStudy(dx, values, order, nan, RANGE * abs(f2 - f3) / ((h3 / h2) ** SCHEME - 1) / (h2 / h1) ** SCHEME)
     limit = f1 + (f1 - f2) / ((h2 / h1) ** order - 1)
     return GridStudy(dx, values, order, limit, SAFETY * abs(f1 - limit))
+
+
+def _digits(value: float, count: int) -> str:
+    """`value` to `count` digits, the last zeros among them."""
+    return f"{value:#.{count}g}".rstrip(".")
