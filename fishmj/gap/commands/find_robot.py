@@ -226,7 +226,7 @@ def without_stand_in(verdict: Verdict) -> Verdict:
         others = tuple(e for e in verdict.effects if e.name in doubtful)
         why = "explains records that it has not seen, and nothing else does; where a value is not believable it is tentative"
         return replace(verdict, answer="NAMED", reason=why, effects=kept, tentative=(*verdict.tentative, *others))
-    why = "the best of the catalogue would need a value that is not believable: it stands in for something else; it is tentative"
+    why = "the best of the catalogue is not believable, as its warning says: it stands in for something else; it is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
