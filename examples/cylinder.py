@@ -52,8 +52,8 @@ def drag(dx: float) -> float:
     return found
 
 
-across = np.multiply(args.cells, (0.7, 1.0, 1.4))
-across = 2 * np.round(across / 2) if args.square else across  # even: its faces lie midway between nodes on all grids
+asked = np.multiply(args.cells, (0.7, 1.0, 1.4))
+across = 2 * np.round(asked / 2) if args.square else asked  # even: its faces lie midway between nodes on all grids
 try:
     print(grid_study(drag, d / across)) if args.study else drag(d / args.cells)
 except ConfigError as error:
