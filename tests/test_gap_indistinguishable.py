@@ -129,7 +129,7 @@ def test_apply_takes_what_is_the_same_for_an_error_of_a_sensor(arm, tmp_path):
 
 def test_a_torque_offset_beside_a_stiffness_is_the_start_of_any_torque_over_the_angle(pendulum):
     assert series_at(["torque_offset@j1", "joint_stiffness@j2", "torque_offset@j2", "payload@j1"]) == ("j2",)
-    (doubt,) = truncated_series(["joint_stiffness@j1", "torque_offset@j1"])
+    (doubt,) = truncated_series(name for name in ("joint_stiffness@j1", "torque_offset@j1"))  # read once, as `decide` gives them
     assert truncated_series(["joint_stiffness@j1", "torque_offset@j2"]) == ()
     model, records = pendulum
     v = answer(pendulum, "torque_offset@j1", ["com_offset@b1"])

@@ -109,5 +109,5 @@ def series_at(names: Iterable[str]) -> tuple[str, ...]:
 
     A cable that pulls from an angle on, a soft stop and a spring of another rest angle begin alike.
     """
-    given = [{site_of(name) for name in names if kind_of(name) == term} for term in SERIES]
-    return tuple(sorted(set.intersection(*given)))
+    given = {(site_of(name), kind_of(name)) for name in names}
+    return tuple(sorted({site for site, _ in given if all((site, term) in given for term in SERIES)}))
