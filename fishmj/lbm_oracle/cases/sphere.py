@@ -16,7 +16,6 @@ The interior water adds m_f exactly; a free sphere is pushed with and without it
 
 from dataclasses import replace
 from math import cos, pi
-from typing import Any
 
 import numpy as np
 
@@ -158,8 +157,7 @@ def wake(cells: int, device: str, *, reynolds: float = 300.0, times: float = 100
     The sphere goes aside by D / 5 and back in the first four D / U: undisturbed, its wake stays steady.
     """
     turn, size = cells / STREAM, float(cells)
-    box: dict[str, Any] = {"rho": 1.0, "dt": 1.0, "device": device}
-    held = Scene((13 * size, 9 * size, 9 * size), 1.0, STREAM * size / reynolds, STREAM, **box)
+    held = Scene((13 * size, 9 * size, 9 * size), 1.0, STREAM * size / reynolds, STREAM, rho=1.0, dt=1.0, device=device)
     body = replace(sphere(size), markers=lambda dx: sphere_markers(size / 2, dx, sharpness=FINS))
     aside = lambda t: (0.1 * size * (1 - cos(2 * pi * min(t / (4 * turn), 1.0))),)
     held.add(body, at=(4.5 * size, 4.5 * size, 4.5 * size), joints=("slide y",), motion=aside)
