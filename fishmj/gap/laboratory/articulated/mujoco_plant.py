@@ -42,6 +42,7 @@ class MujocoPlant(MujocoState):
     """MuJoCo's own actuators, friction, armature, damping and medium; laws beyond them as applied torques."""
 
     h = 0.001
+    spent = 0.0  # `BamPlant`
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
         self.plan, self.hidden = plan, hidden
@@ -72,7 +73,8 @@ class BamPlant(MujocoPlant):
 
     As in `bam.mujoco.MujocoController`, each step writes the budget into the joint's frictionloss and damping.
 
-    servos: law of each joint, by its number: constants as of `bam_servo`.
+    servos: law of each joint, by its number: constants as of `bam_servo`. spent: largest share so far of the supply's voltage
+    that a controller asked for, or of the stall torque that a motor gave; up to 1 the motor's law is that of the description.
     """
 
     h = 0.0005
@@ -89,8 +91,10 @@ class BamPlant(MujocoPlant):
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
         """One step."""
         m, d = self.m, self.d
-        driven = np.clip(self.kp * (u - d.qpos), -self.limit, self.limit)  # by the voltage that the supply has
+        asked = self.kp * (u - d.qpos)
+        driven = np.clip(asked, -self.limit, self.limit)  # by the voltage that the supply has
         motor = driven - self.kv * d.qvel + self.offset
+        self.spent = max(self.spent, float(np.max(np.maximum(np.abs(asked), np.abs(motor)) / self.limit)))
         d.ctrl[:] = motor
         d.qfrc_applied[:] = push + self.laws.torques(d.qpos, d.qvel, motor, d.time, self.h)
         external = -d.qfrc_bias + push

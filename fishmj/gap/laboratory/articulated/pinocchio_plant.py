@@ -24,6 +24,7 @@ class PinocchioPlant:
     """The interface of `MujocoPlant`. Raises MissingExtra without Pinocchio."""
 
     h = 0.0005
+    spent = 0.0
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
         import pinocchio as pin

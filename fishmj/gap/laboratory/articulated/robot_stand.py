@@ -3,6 +3,7 @@
     reference   sums of sines about each joint's middle; with a torque motor the host closes the loop on the encoders
     commands    late, held, lost or rounded on their way; between two of them the last one holds
     encoders    scale, zero, noise, counts, late; one stamp for commands and readings, as a host writes its log
+    servos      (BAM) ask for 85 % of their voltage at most: beyond it they are no longer as described
     torques     of no cause: as large as data/calib/robot.toml grants a healthy robot, every 60 ms anew
 
 What is hidden shows in `visibility`: healthy robots start each 0.3 s from the logged state under the logged commands, and the
@@ -23,6 +24,7 @@ HEALTHY = 3  # robots that tell the scatter
 SLOW = 0.02  # share by which the clock of a log may be off
 FAR = 25.0  # rad: a joint that turns further has run away
 TONES = (0.25, 1.6)  # Hz
+SPENT = 0.85  # of a servo's voltage or stall torque, the largest share
 LOOP = 9.0  # rad/s, of the host's position loop
 
 
@@ -203,7 +205,7 @@ def run(
 ) -> LogRun:
     """One log. plan: the true robot. described: the one in question. push: torques (n, J) of no cause, every spacing.
 
-    Raises FloatingPointError: the robot left the finite numbers, or ran away.
+    Raises FloatingPointError: the robot left the finite numbers, or ran away, or its servos have no voltage to spare.
     """
     joints, h = len(plan.limbs), plant.h
     timing, every = timing_of(hidden, joints), round(stand.tick / h)
@@ -233,6 +235,8 @@ def run(
             states[n + 1] = plant.q, plant.v
         if not np.all(np.abs(plant.q) < FAR):
             raise FloatingPointError("the robot ran away")
+    if plant.spent > SPENT:
+        raise FloatingPointError(f"a servo asks for {plant.spent:.0%} of its voltage, or gives as much of its stall torque")
     stamps = stand.tick * np.arange(kept)
     when = np.maximum(stamps / timing.rate - timing.seen_late, 0.0)
     angles, rates = (np.stack([np.interp(when, grid, states[:, part, j]) for j in range(joints)], 1) for part in (0, 1))
