@@ -9,7 +9,7 @@ from test_gap_robot import named, records_of, verdict_of
 
 from fishmj.effects.ambiguity import series_at
 from fishmj.gap.commands.apply_robot import apply_robot
-from fishmj.gap.commands.find_robot import by_effect
+from fishmj.gap.commands.find_robot import by_effect, without_stand_in
 from fishmj.gap.decide.decide import truncated_series
 from fishmj.gap.decide.indistinguishable import drawn_motions, with_indistinguishable
 from fishmj.gap.models.rigid_robot import RigidRobot
@@ -135,3 +135,6 @@ def test_a_torque_offset_beside_a_stiffness_is_the_start_of_any_torque_over_the_
     v = answer(pendulum, "torque_offset@j1", ["com_offset@b1"])
     doubted = replace(v, answer="CLASS", warnings=(doubt,))
     assert with_indistinguishable(doubted, model, records, frozen(), 0) == doubted  # no name by a rival that is the same
+    pair = tuple(replace(v.effects[0], name=name, p_best=1.0, same={}) for name in ("joint_stiffness@j1", "torque_offset@j1"))
+    alone = with_indistinguishable(Verdict("CLASS", pair, warnings=(doubt,)), model, records, frozen(), 0)
+    assert without_stand_in(alone).answer == "UNEXPLAINED" and by_effect(without_stand_in(alone)) == {}
