@@ -49,6 +49,7 @@ def test_the_waters_for_judging_differ_in_label_fingerprint_and_viscosity():
     brain, robot = control.make("dob", load_robot("fish")), load_robot("fish")
     assert [asked_for("evaluate", name, None, None) for name in REFERENCES] == list(REFERENCES.values())
     assert len({run_trials.fingerprint(brain, robot, trials(), water) for water in REFERENCES.values()}) == len(REFERENCES)
+    assert REFERENCES["reference-3"].label == "reference-3, paper_refined, Werner-Wengle wall law, boundary wall_stress"
     thick = REFERENCES["low-reynolds"]
     assert thick.label.endswith("viscosity 2e-05 m2/s") and all(level.lattice.nu == 2e-5 for level in thick.box.levels)
     other = PLAIN._replace(nu=2e-5)

@@ -36,7 +36,7 @@ from fishmj.lbm_oracle.fluid.lattice import RATIO, Lattice
 from fishmj.lbm_oracle.immersed import scene_bodies
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.scene_bodies import JOINTS, MotionFunction, Numbers, PlacedBody, SceneBodies, position
-from fishmj.lbm_oracle.immersed.shapes import BodyShape, cylinder, mesh, plate, section, sphere
+from fishmj.lbm_oracle.immersed.shapes import BodyShape, cylinder, mesh, plate, section, sphere, upright_edges
 from fishmj.lbm_oracle.immersed.silhouettes import outlines
 from fishmj.lbm_oracle.immersed.strip import coupled_in
 from fishmj.lbm_oracle.output.force_record import SWING, ForceRecord, frequency, settled_mean, window
@@ -50,6 +50,7 @@ __all__ = ["Scene", "cylinder", "mesh", "plate", "section", "sphere"]
 SIDES = ("slip", "wall", "open", "periodic")
 COURANT, THICKEST = 0.05, 0.1  # cells a step of the stream: Mach 0.09; greatest viscosity in lattice units
 FEWEST, CLEAR = 6, 4  # cells across a body; between a body and a face
+NEAR_NODE = 0.25 - 1e-6  # cells between an edge along the grid and a row of nodes
 AHEAD, BLOCKED = 5.0, 0.1  # body lengths to the inlet, and blockage: a narrower box raises the force by more than some 15 %
 SHEDS, BLUNT = 47.0, 0.3  # Re from which a cylinder sheds; frontal height over length of a body that may
 QUIET = 5.0  # s of work before a progress line
@@ -182,6 +183,8 @@ class Scene:
                 " another sharpness, or FluidStructure with slip = 1"
             )
         self._check_place(shape.name, markers.rest + place + start, self._sponge_for(shape.size))
+        if self.flat and shape.volume and shape.surface is not None and not {"hinge z", "free"} & set(joints):
+            self._warn_of_edges_on_nodes(shape.name, place + start, upright_edges(shape.surface))
         self._placed.append(one)
         self._made = None
         return self
@@ -217,6 +220,17 @@ class Scene:
             console.warn(
                 f"scene: {width / self.lattice.dx:.1f} cells across {name} where it is thinnest to the stream; {FEWEST} or more"
                 f" give a force to trust: dx = {width / FEWEST:.3g} m or less"
+            )
+
+    def _warn_of_edges_on_nodes(self, name: str, place: np.ndarray, edges: list[tuple[int, float]]) -> None:
+        """Warns of edges (axis, m from `place`) that are nearer to a row of nodes than to the middle between two rows."""
+        dx, edges = self.lattice.dx, [(axis, place[axis] + far) for axis, far in edges]
+        near = [f"{'xy'[axis]} = {at:.4g} m" for axis, at in edges if abs((at / dx) % 1 - 0.5) < NEAR_NODE]  # nodes: (i + 1/2) dx
+        if near:
+            console.warn(
+                f"scene: {name}: edges at {', '.join(near)} lie on rows of nodes, which takes up to 2 % off a square's drag. Put"
+                f" them a whole number of cells of {dx:.4g} m from the corner of the box: a side of whole cells, and half a cell"
+                " more in `at` if their number is odd"
             )
 
     def _bodies(self) -> SceneBodies:

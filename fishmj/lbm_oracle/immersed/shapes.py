@@ -97,6 +97,18 @@ def section(points: Any) -> BodyShape:
     return BodyShape(name="section", markers=make, size=float(max(x, y)), area=float(y), surface=_ring(corners), **options)
 
 
+def upright_edges(surface: Surface) -> list[tuple[int, float]]:
+    """Axis and place, m, of the edges along the grid that have `LOST` of a section's line or more, by place; each once."""
+    ends = surface[0][surface[1]][..., :2]  # (F, 2, 2)
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    found = set()
+    for axis in range(2):
+        across = np.ptp(ends[..., axis], axis=1) < 1e-6 * length
+        kept = across & (length >= LOST * length.sum())
+        found |= {(axis, float(place)) for place in ends[kept, 0, axis]}
+    return sorted(found)
+
+
 def polygon_markers(corners: np.ndarray, dx: float) -> Markers:
     """Markers of a polygon (P, 2) m about a cell apart, one cell deep, drawn in by the kernel's offset.
 

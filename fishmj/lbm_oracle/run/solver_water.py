@@ -114,13 +114,17 @@ class SolverWater(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Label for tables and file names, `paper, slip 1`; also the reference's name, and a boundary that is not plain."""
+        """Label for tables and file names, `paper, slip 1`; also the reference's name, and a boundary that is not plain.
+
+        With a law for the wall's stress it names that law in place of the slip ratio.
+        """
         named = "" if self.name == PLAIN.name else f"{self.name}, "
         edge = "" if self.sharpness == markers.PLAIN else f", boundary {boundary_name(self.sharpness)}"
         stored = "" if self.storage == "float32" else f", {self.storage}"
         cells = "" if self.dx is None else f", cells of {1e3 * self.dx:g} mm"
         viscous = "" if self.nu == WATER_VISCOSITY else f", viscosity {self.nu:g} m2/s"
-        return f"{named}{self.domain}{cells}, slip {self.slip:g}{edge}{stored}{viscous}"
+        hull = f"slip {self.slip:g}" if self.sharpness.law_height is None else "Werner-Wengle wall law"
+        return f"{named}{self.domain}{cells}, {hull}{edge}{stored}{viscous}"
 
     @property
     def said(self) -> str:
