@@ -342,15 +342,15 @@ lbm_oracle drift --water honey | Known
 campaign hidden --sets 0 | --sets
 campaign hidden --effects nosuch --dry-run | nosuch
 campaign hidden_trials --water secnd | Did you mean 'second'
-virtual_robot | --out
-virtual_robot --flow 1 | SPEED,DIRECTION
-virtual_robot --flow nan,0 | --flow
-virtual_robot --noise -1 | --noise
-virtual_robot --logs 0 | --logs
-virtual_robot --plant coulomb_friction=nan --out a --truth b | finite
-virtual_robot --plant nosuch --out a --truth b | nosuch
-virtual_robot --excitations nosuch --out a --truth b | nosuch
-virtual_robot --out a --truth a/b | inside
+gap plant | --out
+gap plant --out a | EFFECT
+gap plant none --flow 1 | SPEED,DIRECTION
+gap plant none --flow nan,0 | --flow
+gap plant none --generator foil --medium air --out a | --medium and --flow are not for
+gap plant coulomb_friction=nan --out a --truth b | finite
+gap plant nosuch --out a --truth b | nosuch
+gap plant none --excitations nosuch --out a --truth b | nosuch
+gap plant none --out a --truth a/b | inside
 log check none | none
 log chek none | Did you mean 'check'
 gap fnd logs | Did you mean 'find'
