@@ -1,7 +1,7 @@
 """`fishmj lbm_oracle converge fish`: what grid, time step and slip ratio do to the fish itself.
 
-python -m fishmj.lbm_oracle converge fish --device cuda --out runs/converge
-python -m fishmj.lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.98 --what cruise --beats 2 --domain laptop
+fishmj lbm_oracle converge fish --device cuda --out runs/converge
+fishmj lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.98 --what cruise --beats 2 --domain laptop
 
     cruise      speed of the free fish at 1 Hz and 30 deg over the last two beats, m/s
     drag        of the straight fish held in 0.3 m/s, N

@@ -1,10 +1,9 @@
 """`fishmj lbm_oracle speeds`: how fast the free fish swims, over the gait, slip ratio and depth.
 
-python -m fishmj.lbm_oracle speeds --device cuda --out runs/speeds
-python -m fishmj.lbm_oracle speeds --frequencies 0.5 1 1.5 2 2.5 --amplitudes 10 20 30 40 50 --lags 0 30 60 90 --slips 0.97 \
-    --tanks 24 --device cuda --out runs/gaits
-python -m fishmj.lbm_oracle speeds --preset window --frequencies 1 --slips 1 --depths 0.25 --out runs/shallow
-python -m fishmj.lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.99 1 --beats 3 --device cpu --out runs/a
+fishmj lbm_oracle speeds --device cuda --out runs/speeds
+fishmj lbm_oracle speeds --frequencies 0.5 1 1.5 2 2.5 --amplitudes 10 20 30 40 50 --lags 0 30 60 90 --slips 0.97 --tanks 24
+fishmj lbm_oracle speeds --preset window --frequencies 1 --slips 1 --depths 0.25 --out runs/shallow
+fishmj lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.99 1 --beats 3 --device cpu --out runs/a
 
 Still water, from rest, servo-driven: every frequency with every amplitude and lag (the paper's gait: 30 deg, lag 60 deg); the
 last two beats count. `aside_deg` is the direction of the path from the first heading. Each finished swim is a row of
