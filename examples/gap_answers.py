@@ -18,7 +18,6 @@ from typing import NamedTuple
 from fishmj.base import console
 from fishmj.base.store import read_json
 from fishmj.gap.__main__ import main as gap
-from fishmj.gap.laboratory.virtual_robot.__main__ import main as robot
 
 
 class Story(NamedTuple):
@@ -32,7 +31,7 @@ class Story(NamedTuple):
 
 MIXED = "gait_fast,drift_north,turn_left,tow_oblique"
 STORIES = {
-    "agrees": Story("", MIXED, 21, "Use the model: the logs hold nothing that an independent simulation of it does not."),
+    "agrees": Story("none", MIXED, 21, "Use the model: the logs hold nothing that an independent simulation of it does not."),
     "named": Story("command_latency=0.03", MIXED, 11, "Add it to the model: python -m fishmj.gap apply REPORT"),
     "class": Story("torque_saturation=1.25", "gait,turn_left", 5, "Do the experiment, then search again."),
     "twins": Story(
@@ -63,18 +62,16 @@ def tell(name: str, folder: Path, extra: tuple[str, ...] = ()) -> list[str]:
 
 def search(story: Story, runs: str, folder: Path, extra: tuple[str, ...], more: tuple[str, ...] = ()) -> str:
     """Make logs of the faulty robot, ask what is wrong with it, and read the answer."""
-    hidden = ["--plant", story.plant] if story.plant else []
-    data, report, truth = folder / "data", folder / "report", folder / "truth.json"
-    call(robot, *hidden, "--excitations", runs, "--seed", str(story.seed), "--out", str(data), "--truth", str(truth), *more)
-    call(gap, "find", str(data), "--out", str(report), *extra)
+    data, report, once = folder / "data", folder / "report", ("--excitations", runs, "--logs", str(len(runs.split(","))))
+    call("plant", story.plant, *once, "--seed", str(story.seed), "--out", str(data), *more)
+    call("find", str(data), "--out", str(report), *extra)
     return read_json(report / "verdict.json")["answer"]
 
 
-def call(command, *arguments: str) -> None:
-    """Run a command as a user would, showing it."""
-    room = command.__module__.removesuffix(".__main__")
-    console.say("", f"$ python -m {room} {' '.join(arguments)}")
-    command(list(arguments))
+def call(*arguments: str) -> None:
+    """Run a command of the search as a user would, showing it."""
+    console.say("", f"$ fishmj gap {' '.join(arguments)}")
+    gap(list(arguments))
 
 
 if __name__ == "__main__":

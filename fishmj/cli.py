@@ -37,7 +37,7 @@ SECTIONS = {
         "lbm_oracle": "lbm_oracle.__main__",
         "campaign": "hydro_fit.campaign.__main__",
     },
-    "synthetic robots, speed": {"virtual_robot": "gap.laboratory.virtual_robot.__main__", "bench": "evaluate.bench.__main__"},
+    "speed": {"bench": "evaluate.bench.__main__"},
 }
 VERBS = {verb: module for part in SECTIONS.values() for verb, module in part.items()}
 _HERE = Path(__file__).resolve().parent

@@ -130,6 +130,8 @@ COMMANDS: dict[str, list[str]] = {
     "gap_find_in_a_trial": ["gap", "find", "trial", "--out", "report"],
     "gap_plant_typo": ["gap", "plant", "coulomb_frictoin=0.1", "--out", "new"],
     "gap_plant_unit": ["gap", "plant", "coulomb_friction=0.1Nm", "--out", "new"],
+    "gap_plant_nan": ["gap", "plant", "command_latency=nan", "--out", "new"],
+    "gap_plant_flow_without_direction": ["gap", "plant", "none", "--flow", "0.1", "--out", "new"],
     "gap_plant_none_and_one": ["gap", "plant", "none", "command_latency=0.04", "--out", "new"],
     "gap_apply_what_is_no_verdict": ["gap", "apply", "verdict.json"],
     "gap_bench_shard": ["gap", "bench", "--shard", "5/2"],
@@ -141,11 +143,9 @@ COMMANDS: dict[str, list[str]] = {
     "lbm_oracle_two_of_three_joints": ["lbm_oracle", "swim", "--preset", "laptop", "--amplitude", "30", "20"],
     "lbm_oracle_volume_without_fields": ["lbm_oracle", "swim", "--preset", "laptop", "--beats", "1", "--volume"],
     "lbm_oracle_speeds_with_a_blank": ["lbm_oracle", "forcemap", "--domain", "laptop", "--speeds", "0.1", "0.2", "--out", "maps"],
-    # campaign, virtual_robot, bench
+    # campaign, bench
     "campaign_truth_in_the_data": ["campaign", "hidden", "--out", "hidden", "--truth", "hidden/truth.json"],
     "campaign_out_is_a_data_set": ["campaign", "hidden_trials", "--out", "data"],
-    "virtual_robot_plant_nan": ["virtual_robot", "--plant", "command_latency=nan", "--out", "new", "--truth", "t.json"],
-    "virtual_robot_flow_without_direction": ["virtual_robot", "--flow", "0.1", "--out", "new", "--truth", "t.json"],
     "bench_names_with_a_comma": ["bench", "engine_batch,engine_planar"],
 }
 

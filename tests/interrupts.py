@@ -63,8 +63,8 @@ def find(folder: Path) -> list[str]:
     """A search over a small synthetic data set."""
     data = folder / "data"
     if not data.is_dir():
-        planted = ["--plant", "coulomb_friction", "--logs", "4", "--out", str(data), "--truth", str(folder / "truth.json")]
-        command = [sys.executable, "-m", "fishmj.gap.laboratory.virtual_robot", *planted]
+        planted = ["coulomb_friction", "--logs", "4", "--out", str(data), "--truth", str(folder / "truth.json")]
+        command = [sys.executable, "-m", "fishmj.gap", "plant", *planted]
         subprocess.run(command, cwd=folder, env=environment(folder / "warm"), check=True, stdout=subprocess.DEVNULL)
     return ["fishmj.gap", "find", str(data), "--null-runs", "16", "--most", "1", "--out", str(folder / "found")]
 

@@ -165,9 +165,24 @@ def test_a_command_has_an_example_that_parses(name):
     examples = [re.split(r"\s{2,}", line)[0] for line in lines if line.startswith(f"fishmj {name}")]
     assert examples, text
     for example in examples:
-        argv = shlex.split(example)[1 + len(name.split()) :]
+        argv = shlex.split(example.removesuffix(" ..."))[1 + len(name.split()) :]
         with contextlib.suppress(SystemExit):
             LEAVES[name].parse_args(argv)
+
+
+def test_examples_of_a_docstring_end_the_help():
+    prose, examples = console.split_examples("`x`: a.\n\n    fishmj x 1   one\n             of two\n    fishmj x 2\n\nAfter.\n")
+    assert prose == "`x`: a.\n\nAfter.\n"
+    assert examples == "examples:\n  fishmj x 1   one\n           of two\n  fishmj x 2"
+    assert console.split_examples("`fishmj x`: a.\n\n    y = 2") == ("`fishmj x`: a.\n\n    y = 2", "")
+
+
+@pytest.mark.parametrize("name", sorted(f"{verb} {name}" for verb in GROUPS for name in GROUPS[verb].commands))
+def test_help_ends_with_all_examples_of_the_module(name):
+    verb, _, command = name.partition(" ")
+    run = GROUPS[verb].commands[command].run
+    _, examples = console.split_examples(sys.modules[run].__doc__ or "") if isinstance(run, str) else ("", "")
+    assert LEAVES[name].format_help().rstrip().endswith(examples)
 
 
 @pytest.mark.parametrize("name", sorted(LEAVES))
@@ -342,15 +357,15 @@ lbm_oracle drift --water honey | Known
 campaign hidden --sets 0 | --sets
 campaign hidden --effects nosuch --dry-run | nosuch
 campaign hidden_trials --water secnd | Did you mean 'second'
-virtual_robot | --out
-virtual_robot --flow 1 | SPEED,DIRECTION
-virtual_robot --flow nan,0 | --flow
-virtual_robot --noise -1 | --noise
-virtual_robot --logs 0 | --logs
-virtual_robot --plant coulomb_friction=nan --out a --truth b | finite
-virtual_robot --plant nosuch --out a --truth b | nosuch
-virtual_robot --excitations nosuch --out a --truth b | nosuch
-virtual_robot --out a --truth a/b | inside
+gap plant | --out
+gap plant --out a | EFFECT
+gap plant none --flow 1 | SPEED,DIRECTION
+gap plant none --flow nan,0 | --flow
+gap plant none --generator foil --medium air --out a | --medium and --flow are not for
+gap plant coulomb_friction=nan --out a --truth b | finite
+gap plant nosuch --out a --truth b | nosuch
+gap plant none --excitations nosuch --out a --truth b | nosuch
+gap plant none --out a --truth a/b | inside
 log check none | none
 log chek none | Did you mean 'check'
 gap fnd logs | Did you mean 'find'

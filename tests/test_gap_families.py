@@ -3,6 +3,7 @@
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,16 @@ import pytest
 from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, SimDiverged, UsageError
-from fishmj.gap.bench import bench_command, calibrated, drawn_robots, families, family_command, family_rows, family_score
+from fishmj.gap.bench import (
+    bench_command,
+    calibrated,
+    drawn_robots,
+    families,
+    family_command,
+    family_rows,
+    family_score,
+    robot_bench,
+)
 from fishmj.gap.bench.bench_rows import keep
 from fishmj.gap.bench.cases import KINDS, BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
@@ -276,6 +286,24 @@ def test_rows_of_several_machines_are_scored_together(tmp_path, capsys):
     assert bench_command.main(["--score", bad]) == console.FAILED_CHECK
     assert bench_command.main(["--score", bad, "--small"]) == console.OK
     assert bench_command.main(["--score", bad, "--small", "--strict"]) == console.FAILED_CHECK
+
+
+@pytest.mark.parametrize("generator", ["families", "robots"])
+def test_a_case_of_another_processor_is_the_same_case(generator, tmp_path, monkeypatch):
+    """NumPy's exp differs in the last digit between instruction sets."""
+    here = {"id": "a", "kind": "single", "seed": 3, "truth": {"yaw_drag": {"coefficient": 0.3}}, "answer": "AGREES"}
+    here |= {"family": "foil", "experiments": ["gait"]} if generator == "families" else {"generator": "mujoco"}
+    judged = family_command if generator == "families" else robot_bench
+    monkeypatch.setattr(judged, "print_score", lambda rows, *rest: len(rows))
+
+    def scored(*sizes: float) -> int:
+        rows = [here | {"truth": {"yaw_drag": {"coefficient": size}}} for size in sizes]
+        folders = [Path(kept(tmp_path / f"{sizes[1]}-{i}", [one])) for i, one in enumerate(rows)]
+        return judged.together(folders, SimpleNamespace(small=False, strict=False))
+
+    assert scored(0.3, float(np.nextafter(0.3, 1.0))) == 1
+    with pytest.raises(ConfigError, match="another case elsewhere"):
+        scored(0.3, 0.3001)
 
 
 def test_scores_of_nothing_of_another_benchmark_and_of_two_are_refused(tmp_path):

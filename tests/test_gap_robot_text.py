@@ -279,6 +279,34 @@ def test_mass_that_the_compiler_would_change_is_refused(tmp_path):
     assert [x.name for x in tmp_path.iterdir()] == ["arm.xml"]
 
 
+UNWRITTEN = {  # field that an effect of the user's own changes -> factor and message
+    "jnt_range": (0.5, "an effect changes jnt_range of the model"),
+    "geom_friction": (2.0, "an effect changes geom_friction"),
+    "body_pos": (1.1, "an effect changes body_pos"),
+}
+
+
+@pytest.mark.parametrize("field", UNWRITTEN)
+def test_field_that_is_not_written_is_refused_by_name(field, robots, folder):
+    factor, says = UNWRITTEN[field]
+    m, _ = with_effect(robots["leg"], "coulomb_friction@hip", torque=0.06)
+    getattr(m, field)[:] *= factor
+    mujoco.mj_setConst(m, mujoco.MjData(m))
+    with pytest.raises(ConfigError, match=says):
+        next_mjcf(robots["leg"], m, 0.0, folder / "lost.xml", "a comment")
+
+
+def test_damping_of_a_free_joint_is_refused(tmp_path):
+    path = tmp_path / "buoy.xml"
+    shoulder = [line for line in ARM.splitlines(keepends=True) if 'name="shoulder"' in line]
+    path.write_text(ARM.replace(shoulder[0], "<freejoint/>").replace(shoulder[1], ""))
+    robot = read_robot(path)
+    m, _ = with_effect(robot, "joint_stiffness@elbow", stiffness=0.3)
+    m.dof_damping[0] = 0.4
+    with pytest.raises(ConfigError, match="changes dof_damping of the model.*of hinges and slides"):
+        next_mjcf(robot, m, 0.0, tmp_path / "next.xml", "a comment")
+
+
 # ---------------------------------------------------------------------------------------------------------------------- compilers
 UPPER, BALL = '<inertial pos="0 0 -0.2" mass="0.6" diaginertia="0.004 0.004 0.0005"/>', '<geom size="0.05" pos="0 0 -0.2"/>'
 GEOMS = ARM.replace(UPPER, BALL).replace(LOWER, '<geom size="0.04" pos="0 0 -0.15"/>')

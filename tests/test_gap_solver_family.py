@@ -15,9 +15,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.gap.bench import bench_command, calibrated, families, family_command, family_score, solver_sets
 from fishmj.gap.bench.bench_rows import read_rows
 from fishmj.gap.bench.cases import KINDS
-from fishmj.gap.bench.solver_family import __main__ as verb
-from fishmj.gap.bench.solver_family import family_plan, launches, solver_detectability, swims
-from fishmj.gap.bench.solver_family.family_plan import PlanSettings
+from fishmj.gap.bench.solver_plan import PLAN, PlanSettings, read
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.hydro_fit.record import KICK
@@ -25,6 +23,8 @@ from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_bundle
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.reading import load_robot
+from studies.solver_family import __main__ as verb
+from studies.solver_family import family_plan, launches, solver_detectability, swims
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_a_plan_is_its_seed_and_its_folder(tmp_path, seen_by_all):
     assert family_plan.planned(asked).robots == made.robots
     assert family_plan.planned(replace(asked, seed=5)).robots[0].cases[1].effects != made.robots[0].cases[1].effects
     family_plan.write(made, tmp_path)
-    assert family_plan.read(tmp_path).robots == made.robots and set(family_plan.read(tmp_path).descriptions) == set(asked.models)
+    assert read(tmp_path).robots == made.robots and set(read(tmp_path).descriptions) == set(asked.models)
     assert len({one.seed for one in made.robots}) == 6 and len({case.id for one in made.robots for case in one.cases}) == 20
     kinds = [[case.kind for case in one.cases] for one in made.robots if one.model == "fish"]
     assert kinds == [["none", "single", "single"], ["none", "single", "single", "off"], ["none", "single", "single"]]
@@ -66,11 +66,11 @@ def test_a_description_that_is_a_file_goes_with_the_plan(tmp_path, seen_by_all):
     own.write_text((calib_folder() / "tendon_fish.toml").read_text())
     family_plan.write(family_plan.planned(PlanSettings({"mine": str(own)}, robots=1)), tmp_path / "out")
     own.unlink()
-    assert family_plan.read(tmp_path / "out").descriptions["mine"].n_joints == load_robot("tendon_fish").n_joints
+    assert read(tmp_path / "out").descriptions["mine"].n_joints == load_robot("tendon_fish").n_joints
     (tmp_path / "none").mkdir()
-    (tmp_path / "none" / family_plan.FILE).write_text("{}")
+    (tmp_path / "none" / PLAN).write_text("{}")
     with pytest.raises(StoreError, match="expected 'fishmj.solver_family/1'"):
-        family_plan.read(tmp_path / "none")
+        read(tmp_path / "none")
 
 
 # ------------------------------------------------------------ what is swum
@@ -312,7 +312,7 @@ def test_a_plan_is_drawn_once_and_says_its_cost(tmp_path, capsys, seen_by_all):
     with pytest.raises(ConfigError, match="two of one name"):
         verb.main(["--plan", "--models", "fish", "a/fish.toml", "--out", str(tmp_path / "b")])
     with pytest.raises(ConfigError, match="no data set is complete"):
-        swims.finished(family_plan.read(tmp_path), tmp_path)
+        swims.finished(read(tmp_path), tmp_path)
         solver_sets.robots(tmp_path, KINDS)
 
 

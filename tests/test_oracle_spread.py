@@ -25,7 +25,6 @@ from fishmj.base.errors import ConfigError, LogError, UnknownName
 from fishmj.evaluate import bench, trials
 from fishmj.evaluate.bench import devices
 from fishmj.evaluate.run_trials import judge_in_solver
-from fishmj.gap.bench.solver_family import swims
 from fishmj.gap.calibrate import slip
 from fishmj.gap.laboratory.hidden_lbm import hidden
 from fishmj.gap.laboratory.hidden_lbm import hidden_lbm_command as hidden_command
@@ -41,6 +40,7 @@ from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 from fishmj.lbm_oracle.run.spread import _KeyRequests, _Process, _ProgressReports, _send_key, ray_device, spread
 from fishmj.mjcf import load_robot
+from studies.solver_family import swims
 
 TWO = ("cpu", "cpu")
 

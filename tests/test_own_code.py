@@ -21,7 +21,6 @@ from fishmj.engines import own_effects, with_effects
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.gap.commands.plant import main as plant
 from fishmj.gap.laboratory.virtual_robot import generate
-from fishmj.gap.laboratory.virtual_robot.__main__ import main as hide
 from fishmj.log import read_trial, write_dataset
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks.episode import TaskOptions, TaskSpec
@@ -425,7 +424,6 @@ def test_own_effect_is_refused_if_its_name_exists_or_its_type_is_wrong(tmp_path,
     [
         (plant, ["WEED=1", "--out", "OUT"]),
         (plant, ["WEED:drag=1", "--out", "OUT", "--generator", "lbm"]),
-        (hide, ["--plant", "WEED", "--out", "OUT", "--truth", "OUT.json"]),
     ],
 )
 def test_second_robot_refuses_own_effects_without_running_their_code(main, words, tmp_path, capsys):

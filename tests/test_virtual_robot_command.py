@@ -12,7 +12,7 @@ pytest.importorskip("numba")
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.gap.laboratory.virtual_robot.__main__ import main
+from fishmj.gap.commands.plant import main
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import parse
 from fishmj.log import read_dataset
 
@@ -41,10 +41,10 @@ def hide(tmp_path, name, *words, seed="7"):
 
 
 def test_the_command_writes_a_data_set_and_keeps_the_truth_apart(tmp_path, capsys):
-    words = ("--plant", "tether:stiffness=0.3,x=1", "--plant", "command_latency=0.038", "--excitations", "impulse,idle")
+    words = ("tether:stiffness=0.3,x=1", "command_latency=0.038", "--excitations", "impulse,idle")
     data, truth = hide(tmp_path, "one", *words, "--logs", "3", "--json")
     said = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert said["trials"] == 3 and said["hidden"] == 2
+    assert said["trials"] == 3
     assert data.names == ("01_impulse", "02_idle", "03_impulse")
     assert truth["effects"] == {"tether": {"stiffness": 0.3, "x": 1.0}, "command_latency": {"delay": 0.038}}
     assert truth["origin"] == "synthetic" and truth["seed"] == 7
@@ -56,8 +56,8 @@ def test_the_command_writes_a_data_set_and_keeps_the_truth_apart(tmp_path, capsy
 
 
 def test_the_same_command_makes_the_same_data_and_random_keeps_its_secret(tmp_path, capsys):
-    first, truth = hide(tmp_path, "a", "--plant", "random", "--plant", "random", "--excitations", "impulse")
-    second, again = hide(tmp_path, "b", "--plant", "random", "--plant", "random", "--excitations", "impulse")
+    first, truth = hide(tmp_path, "a", "random", "random", "--excitations", "impulse", "--logs", "1")
+    second, again = hide(tmp_path, "b", "random", "random", "--excitations", "impulse", "--logs", "1")
     assert truth["effects"] == again["effects"] and len(truth["effects"]) == 2
     one, two = first["01_impulse"].tables, second["01_impulse"].tables
     assert all(np.array_equal(one[t][c], two[t][c]) for t in one for c in one[t])
@@ -66,20 +66,28 @@ def test_the_same_command_makes_the_same_data_and_random_keeps_its_secret(tmp_pa
 
 def test_truth_inside_the_data_set_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="inside the data set"):
-        main(["--excitations", "idle", "--out", str(tmp_path / "d"), "--truth", str(tmp_path / "d" / "truth.json")])
+        main(["none", "--excitations", "idle", "--out", str(tmp_path / "d"), "--truth", str(tmp_path / "d" / "truth.json")])
     assert not (tmp_path / "d").exists()
+
+
+def test_a_fish_on_a_thread_in_air_has_no_camera_and_a_stream_is_in_the_trial(tmp_path):
+    air, truth = hide(tmp_path, "air", "none", "--medium", "air", "--excitations", "steps", "--logs", "1")
+    wet, _ = hide(tmp_path, "wet", "none", "--flow", "0.1,0", "--excitations", "idle", "--logs", "1")
+    assert "pose" not in air["01_steps"].tables and air["01_steps"].value("medium") == "air" and truth["medium"] == "air"
+    pose = wet["01_idle"].table("pose")
+    assert pose["x"][-1] - pose["x"][0] > 0.05  # carried along
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--plant", "backlash"], "gear_backlash"),
-        (["--plant", "tether=strong"], "no finite number"),
-        (["--plant", "tether:length=1"], "parameter of tether"),
-        (["--excitations", "chrip"], "chirp"),
-        (["--logs", "0"], "expected a whole number from 1"),
-        (["--flow", "fast"], "SPEED,DIRECTION"),
-        (["--noise", "-1"], "expected a number from 0 to 100"),
+        (["backlash"], "gear_backlash"),
+        (["tether=strong"], "no finite number"),
+        (["tether:length=1"], "parameter of tether"),
+        (["none", "--excitations", "chrip"], "chirp"),
+        (["none", "--logs", "0"], "expected a whole number from 1"),
+        (["none", "--flow", "fast"], "SPEED,DIRECTION"),
+        (["none", "--noise", "-1"], "expected a number from 0 to 100"),
     ],
 )
 def test_bad_input_exits_2_with_one_line(words, says, tmp_path, capsys):
@@ -89,8 +97,8 @@ def test_bad_input_exits_2_with_one_line(words, says, tmp_path, capsys):
 
 
 def test_without_a_place_it_says_so(capsys):
-    assert console.run(main, ["--plant", "tether"]) == console.BAD_INPUT
-    assert "--truth" in capsys.readouterr().err
+    assert console.run(main, ["tether"]) == console.BAD_INPUT
+    assert "--out" in capsys.readouterr().err
 
 
 def test_the_list_names_effects_and_experiments(capsys):

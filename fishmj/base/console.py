@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from importlib import import_module
+from textwrap import dedent
 from typing import IO, Any, NamedTuple, NoReturn
 
 from fishmj.base import interrupt, terminal
@@ -192,7 +193,7 @@ _DASHED = re.compile(r"[\u2010-\u2015\u2212\ufe58\uff0d][\u2010-\u2015\u2212\ufe
 class Parser(argparse.ArgumentParser):
     """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text.
 
-    The help shows every default, and below it the example that the parser or its `CommandGroup` gives.
+    The help shows every default, and below it the examples of the parser, of its description or of its `CommandGroup`.
     """
 
     def __init__(self, *args, **options):
@@ -205,9 +206,8 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(f"{self.prog.removeprefix('fishmj ')}: {message}; see {self.prog} --help")
 
     def format_help(self) -> str:
-        """Help text, with the example of the parser or of its `CommandGroup` below it."""
-        if self.epilog is None and self.prog in _EXAMPLES:
-            self.epilog = f"example:\n  {_EXAMPLES[self.prog]}"
+        """Help text, with the examples of the parser or of its `CommandGroup` below it."""
+        self.epilog = self.epilog or _EXAMPLES.get(self.prog)
         return super().format_help()
 
     def parse_args(self, args=None, namespace=None):
@@ -258,11 +258,27 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser(verb: str, summary: str, *, json: bool = True, examples: str | None = None) -> Parser:
-    """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise; `examples` stand below the help."""
-    made = Parser(prog=f"fishmj {verb}", description=summary, epilog=examples)
+    """An argument parser for `python -m fishmj.<verb>`, with `--json` unless told otherwise.
+
+    examples: below the help; by default those of the summary, which may be a docstring.
+    """
+    prose, found = split_examples(summary)
+    made = Parser(prog=f"fishmj {verb}", description=prose, epilog=examples or found or None)
     if json:
         made.add_argument("--json", action="store_true", help="print one JSON object last")
     return made
+
+
+def split_examples(docstring: str) -> tuple[str, str]:
+    """(prose, examples) of a docstring: paragraphs of commands are its examples, for the end of a help."""
+    prose, lines = [], []
+    for part in docstring.split("\n\n"):
+        found = dedent(part).strip().replace("python -m fishmj.", "fishmj ").splitlines()
+        if all(line.startswith(("fishmj ", " ")) for line in found):
+            lines += found
+        else:
+            prose.append(part)
+    return "\n\n".join(prose), "\n  ".join(["examples:", *lines]) if lines else ""
 
 
 HELP = ("-h", "--help", "help")  # before a command too: `help find` is `find --help`
@@ -276,7 +292,7 @@ class Command(NamedTuple):
     example: str
 
 
-_EXAMPLES: dict[str, str] = {}  # program -> its example, for the help of a command that a group offers
+_EXAMPLES: dict[str, str] = {}  # program -> examples below the help of a command that a group offers
 
 
 class CommandGroup:
@@ -289,7 +305,7 @@ class CommandGroup:
 
     def __init__(self, verb: str, summary: str, commands: Mapping[str, Command], bare: str = ""):
         self.verb, self.summary, self.commands, self.bare = verb, summary, dict(commands), bare
-        _EXAMPLES.update({f"fishmj {verb} {name}": command.example for name, command in commands.items()})
+        _EXAMPLES.update({f"fishmj {verb} {name}": f"examples:\n  {command.example}" for name, command in commands.items()})
 
     def __call__(self, argv: list[str]) -> int | None:
         if argv and argv[0] in HELP:
@@ -312,7 +328,10 @@ class CommandGroup:
         if name not in self.commands:
             raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
         run = self.commands[name].run
-        return import_module(run).main if isinstance(run, str) else run
+        module = import_module(run) if isinstance(run, str) else None
+        if module and (examples := split_examples(module.__doc__ or "")[1]):
+            _EXAMPLES[f"fishmj {self.verb} {name}"] = examples
+        return module.main if module else run
 
     def usage(self) -> str:
         """Every command with one line, and its example below."""
@@ -374,16 +393,9 @@ class Progress:
     """
 
     def __init__(
-        self,
-        total: float,
-        label: str,
-        unit: str = "",
-        *,
-        stream: IO[str] | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        every: float | None = None,
-        at_most: bool = False,
-    ):
+        self, total: float, label: str, unit: str = "", *, stream: IO[str] | None = None,
+        clock: Callable[[], float] = time.monotonic, every: float | None = None, at_most: bool = False,
+    ):  # fmt: skip
         """at_most: the work may end before `total`, so that the time left is always an upper bound."""
         self.total, self.label, self.unit, self._at_most = total, label, unit, at_most
         self._stream = sys.stderr if stream is None else stream

@@ -77,7 +77,7 @@ def main(argv: list[str]) -> int:
     add("--power", action="store_true", help=f"{strengths} ({power.CASES} cases by default)")
     add("--uncalibrated", action="store_true", help="of families: question the description as it is")
     add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
-    sets = "of --generator solver: folder that python -m fishmj.gap.bench.solver_family made; of robots: folder of data sets"
+    sets = "of --generator solver: folder that python -m studies.solver_family made; of robots: folder of data sets"
     add("--sets", type=console.path, metavar="DIR", help=f"{sets} (default OUT/sets)")
     making = f"of --generator robots: make the data sets of {robot_bench.ALL}, or of some, and stop (default: judge them, too)"
     only = console.Listed(console.OneOf(robot_bench.GENERATORS))

@@ -1,12 +1,16 @@
 """Rows of a benchmark on disk, one JSON object a line: finished work is never repeated."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from fishmj.base import console, interrupt
 from fishmj.gap import progress
 from fishmj.gap.bench.workers import ask_all
+
+ROUNDED = 1e-9  # relative; two draws of one effect differ by far more
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -20,6 +24,17 @@ def read_rows(path: Path) -> list[dict]:
         except json.JSONDecodeError:
             continue
     return out
+
+
+def same(one: Any, other: Any) -> bool:
+    """Returns True for equal entries of two rows; drawn numbers to `ROUNDED`, since processors differ in their last digits."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=ROUNDED)
+    return one == other
 
 
 def keep(path: Path, row: dict) -> None:

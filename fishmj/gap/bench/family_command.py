@@ -13,7 +13,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.gap import progress
 from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
-from fishmj.gap.bench.bench_rows import read_rows
+from fishmj.gap.bench.bench_rows import read_rows, same
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
 from fishmj.gap.bench.workers import ask_all
@@ -113,7 +113,7 @@ def together(folders: list[Path], args) -> int:
                     f"gap bench: --score {folder}: row {row.get('id')} is of another benchmark; expected --generator families"
                 )
             other = rows.setdefault(row["id"], row)
-            if any(other.get(key) != row.get(key) for key in DECIDED):
+            if not all(same(other.get(key), row.get(key)) for key in DECIDED):
                 raise ConfigError(
                     f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark at a time"
                 )
@@ -136,7 +136,7 @@ def is_finished(row: dict | None, case: BenchCase, one: family_rows.RobotQuery) 
         return False
     begun = console.plain(family_rows.case_facts(case, one))
     keys = DECIDED if not case.times else (*DECIDED[1:], "times", "drawn")  # its size was scaled since
-    if differs := [key for key in keys if row.get(key) != begun[key]]:
+    if differs := [key for key in keys if not same(row.get(key), begun[key])]:
         what = f"row {case.id} differs in {', '.join(differs)}"
         raise ConfigError(f"gap bench: {one.out} holds another benchmark: {what}; take another --out, or the options of before")
     return True

@@ -9,7 +9,7 @@ from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.gap.bench import robot_cases, robot_score
-from fishmj.gap.bench.bench_rows import judge_cases, read_rows
+from fishmj.gap.bench.bench_rows import judge_cases, read_rows, same
 from fishmj.gap.bench.robot_rows import judge_set
 from fishmj.gap.laboratory.articulated import robot_session
 
@@ -58,7 +58,7 @@ def bench(args, generators: tuple[str, ...]) -> int:
     cost.time("gap bench", seconds / min(jobs, usable_cores()), f"{len(sets)} cases", instead=less, flag="--yes", agreed=args.yes)
     rows = judge_cases(sets, args.out, partial(judge_row, folder), jobs)
     for one, row in zip(sets, rows, strict=True):
-        if one.row.get("truth") != row.get("truth"):
+        if not same(one.row.get("truth"), row.get("truth")):
             raise ConfigError(f"gap bench: {args.out}: row {one.id} is of other data sets than {folder}; take another --out")
     whole = not (args.small or shards > 1 or args.cases)
     return print_score(rows, args, args.strict or whole)
@@ -70,7 +70,7 @@ def together(folders: list[Path], args) -> int:
     for folder in folders:
         for row in read_rows(folder / "rows.jsonl"):
             other = rows.setdefault(row["id"], row)
-            if other.get("truth") != row.get("truth") or other.get("seed") != row.get("seed"):
+            if not all(same(other.get(key), row.get(key)) for key in ("truth", "seed")):
                 raise ConfigError(
                     f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark alone"
                 )

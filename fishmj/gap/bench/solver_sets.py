@@ -1,4 +1,4 @@
-"""Robots of the flow solver as a family of the benchmark: their data sets exist already (`gap.bench.solver_family`).
+"""Robots of the flow solver as a family of the benchmark: their data sets exist already (`studies.solver_family`).
 
 Each robot's model is calibrated to its own free swims in the solver. The search leaves the solver out, so the null runs are the
 second robot's and the structural error comes from other waters.
@@ -20,10 +20,10 @@ from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json
 from fishmj.gap.bench import calibrated
+from fishmj.gap.bench import solver_plan as plans
 from fishmj.gap.bench.drawn_robots import BenchRobot
 from fishmj.gap.bench.family_rows import UNABLE, RobotQuery, case_facts, of_body, refusal_row, search_row, write_rows
-from fishmj.gap.bench.solver_family import family_plan as plans
-from fishmj.gap.bench.solver_family.family_files import FREE, SETS, TRUTH
+from fishmj.gap.bench.solver_plan import FREE, SETS, TRUTH
 from fishmj.gap.null.null_runs import SimulatedNull, digest
 from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.healthy_swims import HealthySwims
@@ -37,7 +37,7 @@ SHIPPED = "fish"
 def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
     """Robots with their cases of these kinds, at most `many` in sum, for which data sets exist.
 
-    Raises ConfigError: there are none; StoreError: the folder was not made by `gap.bench.solver_family`.
+    Raises ConfigError: there are none; StoreError: the folder was not made by `studies.solver_family`.
     """
     plan, known = plans.read(folder), read_json(folder / TRUTH)["cases"]
     out: list[BenchRobot] = []
@@ -49,8 +49,7 @@ def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
         left -= len(mine)
     if not out:
         raise ConfigError(
-            f"gap bench: --sets {folder}: no data set is complete;"
-            f" python -m fishmj.gap.bench.solver_family --out {folder} goes on"
+            f"gap bench: --sets {folder}: no data set is complete; python -m studies.solver_family --out {folder} goes on"
         )
     return out
 

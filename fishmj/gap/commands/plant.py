@@ -8,10 +8,14 @@ morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies a
               the truth also states the effect's visible size above noise and healthy robots
 
     fishmj gap plant command_latency=0.04 --seed 7 --out planted
+    fishmj gap plant random random --truth truth.json --out planted
+    fishmj gap plant --list
 """
 
+from argparse import ArgumentTypeError
 from functools import partial
 from itertools import count, cycle, islice
+from math import pi
 
 import numpy as np
 
@@ -27,7 +31,7 @@ from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.laboratory import generators, random_streams
 from fishmj.gap.laboratory.effect_text import split_text
 from fishmj.gap.laboratory.session import trial_name
-from fishmj.gap.laboratory.virtual_robot import hidden_dataset
+from fishmj.gap.laboratory.virtual_robot import hidden_dataset, trials
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
 from fishmj.gap.laboratory.virtual_robot.weighing import page as weighings
 from fishmj.gap.null.null_runs import LOUDEST
@@ -39,17 +43,18 @@ from fishmj.mjcf.reading import load_robot
 
 RATES = {"joint": "network.period", "pose": "camera.period", "power": "meter.period"}
 GENERATORS = ("independent", "log", "lbm", *generators.NAMES)
+FASTEST = 1.0  # m/s, of an ordered stream
 SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command": ("pose", "joint", "power", "truth", "flow")}
 
 
 def main(argv: list[str]) -> int:
     """The command `gap plant`. Returns the exit code."""
-    from fishmj.lbm_oracle.run.domain import NAMES  # needs Warp, without which lost rows can still be asked for
-
     parser = console.parser("gap plant", __doc__ or "")
     add = parser.add_argument
-    add("effect", nargs="+", metavar="EFFECT[=value]", help="SI; NAME:p=1,q=2 sets several parameters; random draws one; none")
-    add("--out", type=console.out_folder, required=True, metavar="DATA", help="data set folder, new or empty")
+    one = "SI; NAME:p=1,q=2 sets several parameters; random and random_odd draw one; none"
+    add("effect", nargs="*", metavar="EFFECT[=value]", help=one)
+    add("--list", action="store_true", help="name the second robot's effects and all experiments, and stop")
+    add("--out", type=console.out_folder, metavar="DATA", help="data set folder, new or empty; needed unless --list")
     add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
     add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
     robot = "the robot, but for --generator log and lbm: name or TOML file (default fish)"
@@ -62,7 +67,11 @@ def main(argv: list[str]) -> int:
     nuisance = "relative half width of constants that nobody measured, 0 to 0.5 (default 0.1)"
     add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
     add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
-    add("--domain", choices=NAMES, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
+    air = "--generator independent: in water, or hung on a thread in air, without a camera (default water)"
+    add("--medium", default=trials.MEDIA[0], choices=trials.MEDIA, help=air)
+    ordered = "--generator independent: ordered stream, m/s and rad (default 0,0)"
+    add("--flow", type=stream, default=(0.0, 0.0), metavar="SPEED,DIRECTION", help=ordered)
+    add("--domain", type=console.text, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
     add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
     add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
     for sensor in RATES:
@@ -73,6 +82,10 @@ def main(argv: list[str]) -> int:
     add("--truth", type=console.out_file, metavar="FILE", help="what was hidden; default DATA.truth.json, beside the data set")
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
+    if args.list:
+        return listed(args.json)
+    if args.out is None or not args.effect:
+        raise ConfigError("gap plant: say what is hidden (EFFECT, or none) and where: --out DATA; --list names the effects")
     gap_options.there(args.source)
     if args.weigh and args.generator == "log":
         raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
@@ -83,6 +96,8 @@ def main(argv: list[str]) -> int:
     if args.drop and args.generator == "lbm" or rates(args) and args.generator != "independent":
         what = "--drop and the rates of sensors" if args.generator == "lbm" else "the rates of sensors"
         raise ConfigError(f"gap plant: {what} are not for --generator {args.generator}")
+    if (args.medium, args.flow) != (trials.MEDIA[0], (0.0, 0.0)) and args.generator != "independent":
+        raise ConfigError(f"gap plant: --medium and --flow are not for --generator {args.generator}")
     if args.model != "fish" and args.generator in ("log", "lbm"):
         raise ConfigError(f"gap plant: --model is not for --generator {args.generator}, which has a robot of its own")
     if args.generator not in generators.NAMES:
@@ -94,14 +109,14 @@ def main(argv: list[str]) -> int:
     hidden = understood(args)
     with progress.terminal_bar(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
-        trials, facts = make(hidden, args, bar.update, given)
+        made, facts = make(hidden, args, bar.update, given)
     weigh = partial(generators.page, args.generator) if args.generator in generators.NAMES else weighings
     page = weigh(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
     facts = {"generator": args.generator, "seed": args.seed, **facts}
-    write_hidden(out, truth, trials, hidden, facts, args.overwrite, page)
-    console.say(f"{len(trials)} trials in {out}; what is hidden in them is in {truth}")
+    write_hidden(out, truth, made, hidden, facts, args.overwrite, page)
+    console.say(f"{len(made)} trials in {out}; what is hidden in them is in {truth}")
     if args.json:
-        console.emit_json({"trials": len(trials), "out": out, "truth": truth, "generator": args.generator})
+        console.emit_json({"trials": len(made), "out": out, "truth": truth, "generator": args.generator})
     return console.OK
 
 
@@ -126,10 +141,36 @@ def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 
     runs = experiments(args)
     facts = {"noise": args.noise, "nuisance": args.nuisance, "excitations": runs, "model": str(args.model)}
-    numbers = (args.seed, args.noise, args.nuisance)
-    trials = generate(hidden, runs, *numbers, args.model, sensors=rates(args), tick=tick)
+    facts |= {"medium": args.medium, "flow": args.flow}
+    numbers = (args.seed, args.noise, args.nuisance, args.model, args.medium)
+    whole = generate(hidden, runs, *numbers, flow=args.flow, sensors=rates(args), tick=tick)
     rng = np.random.default_rng([args.seed, 18])
-    return [with_lost_rows(trial, args.drop, rng) for trial in trials], facts | {"drop": args.drop, "sensors": rates(args)}
+    return [with_lost_rows(trial, args.drop, rng) for trial in whole], facts | {"drop": args.drop, "sensors": rates(args)}
+
+
+def stream(text: str) -> tuple[float, float]:
+    """Parses `0.2,3.14`: speed [m/s] and direction [rad]. Raises ArgumentTypeError: no two numbers in their ranges."""
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise ArgumentTypeError(f"got {text[:40]!r}, expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
+    return console.number(0, FASTEST)(parts[0]), console.number(-2 * pi, 2 * pi)(parts[1])
+
+
+def listed(json: bool) -> int:
+    """Prints the second robot's effects with their parameters, and the experiments. Returns the exit code."""
+    rows: list[dict] = []
+    for e in trials.EFFECTS.values():
+        shown = {"stage": e.stage, "seen in": ", ".join(e.shows), "shown by": ", ".join(e.runs)}
+        for p in e.parameters:
+            row = {"effect": e.name, "parameter": p.name, "unit": p.unit}
+            rows.append({**row, "null": p.null, "from": p.typical[0], "to": p.typical[1], **shown})
+    known = map(excitation.get, excitation.names())
+    runs = [{"excitation": run.id, "seconds": round(run.seconds, 1), "about": run.about} for run in known]
+    if json:
+        console.emit_json({"effects": rows, "excitations": runs})
+    else:
+        console.say(console.table(rows), "", console.table(runs))
+    return console.OK
 
 
 def rates(args) -> dict[str, float]:
@@ -150,13 +191,13 @@ def limits(name: str, parameter) -> tuple[float, float]:
 def logged(hidden: dict, args, tick, given: Taken | None) -> tuple[list[Trial], dict]:
     """(trials, facts) of an existing data set with other sensors and clocks."""
     rng = np.random.default_rng([args.seed, 17])
-    trials = []
+    late = []
     for name, trial in given.trials.items() if given else ():
-        trials.append(manipulated(name, trial, hidden, args.drop, rng))
-        tick(len(trials))
+        late.append(manipulated(name, trial, hidden, args.drop, rng))
+        tick(len(late))
     for name, why in given.broken.items() if given else ():
         console.warn(f"{name} left out: {why}")
-    return trials, {"from": str(args.source), "drop": args.drop}
+    return late, {"from": str(args.source), "drop": args.drop}
 
 
 def solver(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
@@ -182,8 +223,8 @@ def other_water(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 def experiments(args) -> list[str]:
     """Ids of the trials to make; the list is repeated if it is too short."""
     shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
-    listed = shelf.get(args.excitations, args.excitations.split(","))
-    return [excitation.get(n).id for n in islice(cycle(listed), args.logs)]
+    asked = shelf.get(args.excitations, [name.strip() for name in args.excitations.split(",")])
+    return [excitation.get(n).id for n in islice(cycle(asked), args.logs)]
 
 
 def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:

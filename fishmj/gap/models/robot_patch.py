@@ -10,6 +10,7 @@ compiled, and is taken only if all fields are those that MuJoCo compiles from th
 import difflib
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +33,9 @@ REWRITTEN = 1e-3  # relative; MuJoCo rounds the sizes of geoms, too
 SOURCE = ("paths", "npaths", "nbuffer", "signature")  # what of a model is of its text
 # Frames of the inertia may be numbered otherwise; ctrlspec says what a command means, and no dynamics.
 FRAMES = ("body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe", "bvh_aabb", "actuator_ctrlspec")
+# What mj_setConst makes of other fields; values of laws, which the module beside the text holds (callback_module.py).
+FOLLOWING = ("actuator_acc0", "body_invweight0", "body_subtreemass", "cam_poscom0", "dof_M0", "dof_invweight0", "dof_length")
+FOLLOWING += ("light_poscom0", "tendon_invweight0", "jnt_user")
 Changes = dict[tuple[str, int], dict[str, Any]]  # {(part, its number): {attribute of MjSpec: value}}
 
 
@@ -80,6 +84,11 @@ def patched(robot: RobotDescription, model: Any, delay: float = 0.0, folder: Pat
 
 def differing(one: Any, other: Any) -> str:
     """Name of the first field in which two MjModels differ, "" if there is none. Inertias are compared as tensors."""
+    return next(_unlike(one, other), "")
+
+
+def _unlike(one: Any, other: Any) -> Iterator[str]:
+    """Names of the fields in which two MjModels differ."""
     pairs = [
         (name, getattr(one, name), getattr(other, name)) for name in dir(one) if name[0] != "_" and name not in (*SOURCE, *FRAMES)
     ]
@@ -91,14 +100,13 @@ def differing(one: Any, other: Any) -> str:
             continue
         if isinstance(a, bytes) or isinstance(b, bytes):
             if a != b:
-                return name
+                yield name
             continue
         a, b = np.asarray(a), np.asarray(b)
         near = 1e-9 * np.abs(b[np.isfinite(b)]).max(initial=0.0) if b.dtype.kind == "f" else 0.0
         near = ROUNDED if name == "body_inertia" else near
         if a.shape != b.shape or not np.allclose(a, b, ROUNDED if b.dtype.kind == "f" else 0.0, near, equal_nan=True):
-            return name
-    return ""
+            yield name
 
 
 def _changes(robot: RobotDescription, model: Any, delay: float) -> Changes:
@@ -109,10 +117,12 @@ def _changes(robot: RobotDescription, model: Any, delay: float) -> Changes:
     for _ in range(3):  # kv, for one, follows from dampratio and armature
         for key, values in more.items():
             found.setdefault(key, {}).update(values)
-        more = _between(robot, _compiled(_applied(robot, found)), model)
+        compiled = _compiled(_applied(robot, found))
+        more = _between(robot, compiled, model)
         if not more:
             break
     _refuse(robot, more)
+    _refuse_unwritten(robot, compiled, model)
     for a in range(len(robot.spec.actuators) if delay else 0):
         later = float(robot.delays[a] + delay)
         samples = int(np.ceil(later / model.opt.timestep)) + 1
@@ -251,6 +261,18 @@ def _refuse(robot: RobotDescription, unlike: Changes) -> None:
         what = f"{', '.join(values)} of {part} {(part in parts and parts[part][i].name) or i}"
         why = "its compiler changes it; look for settotalmass, boundmass, balanceinertia, inertiafromgeom, a scaled frame"
         raise ConfigError(f"{robot.path}: MuJoCo does not take {what} as the effects need it: {why}")
+
+
+def _refuse_unwritten(robot: RobotDescription, compiled: Any, model: Any) -> None:
+    """Raises ConfigError if the effects change a field, of the user's own perhaps, that the table of attributes leaves out."""
+    lost = set(_unlike(compiled, model)) & set(_unlike(robot.model, model)) - {*FOLLOWING}
+    if lost:
+        joints = ", ".join([*(name for name, *_ in JOINT), "frictionloss", "armature"])
+        held = f"{joints} of hinges and slides; {', '.join(ACTUATOR)}; {', '.join(BODY)}; {', '.join(OPTION)}"
+        raise ConfigError(
+            f"{robot.path}: an effect changes {', '.join(sorted(lost))} of the model, which is not written into MJCF."
+            f" Written are {held}. Write that attribute by hand, or give the effect as a law of a joint"
+        )
 
 
 def _own_text(robot: RobotDescription, found: Changes, wanted: Any, folder: Path, comment: str) -> bytes:

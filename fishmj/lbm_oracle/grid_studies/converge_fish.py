@@ -1,7 +1,7 @@
 """`fishmj lbm_oracle converge fish`: what grid, time step and slip ratio do to the fish itself.
 
-python -m fishmj.lbm_oracle converge fish --device cuda --out runs/converge
-python -m fishmj.lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.98 --what cruise --beats 2 --domain laptop
+fishmj lbm_oracle converge fish --device cuda --out runs/converge
+fishmj lbm_oracle converge fish --grids 0.04 0.02 --parts 1 --slips 0.98 --what cruise --beats 2 --domain laptop
 
     cruise      speed of the free fish at 1 Hz and 30 deg over the last two beats, m/s
     drag        of the straight fish held in 0.3 m/s, N
@@ -34,15 +34,7 @@ from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import (
-    BOUNDARIES,
-    boundary_entry,
-    robot_entry,
-    study_options,
-    study_slips,
-    viscosity_entry,
-    viscosity_option,
-)
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, robot_entry, study_slips, swim_entries, swim_options
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
@@ -181,7 +173,7 @@ def main(argv: list[str]) -> int:
     held_s = sum(plan.ticks(SPEED, TICK)) * TICK  # refuses what is too short
     setup = {"domain": args.domain, "beats": args.beats, "settle": args.settle, "seconds": args.seconds}
     edge = BOUNDARIES[args.boundary]
-    setup |= boundary_entry(edge) | robot_entry(robot) | viscosity_entry(args.nu)
+    setup |= swim_entries(edge, robot, args.nu)
     book = FinishedRows(Path(args.out) / "converge.csv", COLUMNS, 4, setup, "converge fish")
     left = [key for key in keys if key not in book.rows]
     cruise_s = args.beats / Gait.of_the_paper().frequency
@@ -216,11 +208,8 @@ def _parser() -> console.Parser:
     add("--grids", type=console.number(0.001, 0.2), **several, default=list(GRIDS), metavar="M", help=grids)
     parts = "time steps, as parts of the paper's Courant number"
     add("--parts", type=console.whole(1, 100), **several, default=list(PARTS), metavar="N", help=parts)
-    study_options(add, SLIPS)
-    viscosity_option(add)
-    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
+    swim_options(add, SLIPS)
     add("--domain", choices=EVERY, default="window", help="whose box in metres; _refined: half the cell round the fish")
-    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of the swim; the last two count")
     settle = "before a force is averaged; by default 5 body lengths of water flow past"
     add("--settle", type=console.number(0, 10_000), metavar="S", help=settle)
     seconds = "averaged over; by default 6 m of water flow past"

@@ -1,10 +1,9 @@
 """`fishmj lbm_oracle speeds`: how fast the free fish swims, over the gait, slip ratio and depth.
 
-python -m fishmj.lbm_oracle speeds --device cuda --out runs/speeds
-python -m fishmj.lbm_oracle speeds --frequencies 0.5 1 1.5 2 2.5 --amplitudes 10 20 30 40 50 --lags 0 30 60 90 --slips 0.97 \
-    --tanks 24 --device cuda --out runs/gaits
-python -m fishmj.lbm_oracle speeds --preset window --frequencies 1 --slips 1 --depths 0.25 --out runs/shallow
-python -m fishmj.lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.99 1 --beats 3 --device cpu --out runs/a
+fishmj lbm_oracle speeds --device cuda --out runs/speeds
+fishmj lbm_oracle speeds --frequencies 0.5 1 1.5 2 2.5 --amplitudes 10 20 30 40 50 --lags 0 30 60 90 --slips 0.97 --tanks 24
+fishmj lbm_oracle speeds --preset window --frequencies 1 --slips 1 --depths 0.25 --out runs/shallow
+fishmj lbm_oracle speeds --preset laptop --frequencies 1 2 --slips 0.99 1 --beats 3 --device cpu --out runs/a
 
 Still water, from rest, servo-driven: every frequency with every amplitude and lag (the paper's gait: 30 deg, lag 60 deg); the
 last two beats count. `aside_deg` is the direction of the path from the first heading. Each finished swim is a row of
@@ -32,15 +31,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import (
-    BOUNDARIES,
-    boundary_entry,
-    robot_entry,
-    study_options,
-    study_slips,
-    viscosity_entry,
-    viscosity_option,
-)
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, robot_entry, study_slips, swim_entries, swim_options
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
 from fishmj.lbm_oracle.run.swim import figures
 from fishmj.mjcf import load_robot
@@ -106,8 +97,7 @@ def main(argv: list[str]) -> int:
     box, robot, edge = preset(args.preset).changed(nu=args.nu), load_robot(args.robot), BOUNDARIES[args.boundary]
     depths = args.depths or [round(box.shape[2] * box.dx, 6)]
     keys = swim_keys(args.frequencies, args.amplitudes, args.lags, args.slips, depths)
-    setup = {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats} | boundary_entry(edge) | robot_entry(robot)
-    setup |= viscosity_entry(args.nu)
+    setup = {"domain": box.name, "dx": box.dx, "dt": box.dt, "beats": args.beats} | swim_entries(edge, robot, args.nu)
     book = FinishedRows(Path(args.out) / "speeds.csv", COLUMNS, len(KEYS), setup, "speeds")
     left = [key for key in keys if key not in book.rows]
     swims = [(box.changed(depth=depth), args.beats / frequency) for frequency, *_, depth in left]
@@ -139,7 +129,6 @@ def _parser() -> console.Parser:
     add = p.add_argument
     several: dict[str, Any] = {"nargs": "+", "action": console.Distinct}
     add("--preset", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
-    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     beat = console.number(0.05, 10)
     add("--frequencies", type=beat, **several, default=list(FREQUENCIES), metavar="HZ", help="of the beat")
     angle = console.number(0, 90, above=True)
@@ -147,9 +136,7 @@ def _parser() -> console.Parser:
     lag = console.number(-180, 180)
     add("--lags", type=lag, **several, default=[LAG], metavar="DEG", help="from joint to joint")
     add("--depths", type=console.number(0.05, 10), **several, metavar="M", help="of the water; the domain's own by default")
-    study_options(add, SLIPS)
-    viscosity_option(add)
-    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of each swim; the last two count")
+    swim_options(add, SLIPS)
     add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side on each device; 12 or more keep a GPU busy")
     out = "speeds.csv and speeds.png; continues what is there"
     add("--out", type=console.out_folder, default="runs/speeds", metavar="FOLDER", help=out)

@@ -299,7 +299,10 @@ def weigh_body(t: Tree, s: Motion, me: int, threads: int):
 
 @wp.kernel
 def state_equation(t: Tree, s: Motion):
-    """Computes pose, M, bias, passive and servo forces of a state in one block of threads; in one thread on the CPU."""
+    """Computes pose, M, bias, passive and servo forces of a state in one block of threads; in one thread on the CPU.
+
+    The tests' entry: they hold the two functions, which `device_body` calls inside its own kernels, to MuJoCo.
+    """
     me, threads = wp.tid(), wp.block_dim()
     place_body(t, s, me, threads)
     weigh_body(t, s, me, threads)
@@ -331,7 +334,7 @@ def move_joint(t: Tree, s: Motion, j: int, v: wp.array(dtype=wp.float64), dt: wp
 
 @wp.kernel
 def advance_state(t: Tree, s: Motion, v: wp.array(dtype=wp.float64), dt: wp.float64):
-    """Advances the state by one step, one thread for each joint."""
+    """Advances the state by one step, one thread for each joint; the tests' entry to `move_joint`, as `state_equation` is."""
     move_joint(t, s, wp.tid(), v, dt)
 
 

@@ -44,14 +44,17 @@ def robot_entry(robot: Robot) -> dict[str, str]:
     return {} if robot == load_robot("fish") else {"robot": robot.name}
 
 
-def viscosity_entry(nu: float) -> dict[str, float]:
-    """Entry for the kinematic viscosity [m2/s] in the set-up of a table; empty for that of water, as in older files."""
-    return {} if nu == WATER_VISCOSITY else {"nu": nu}
+def swim_entries(sharpness: Sharpness, robot: Robot, nu: float) -> dict[str, Any]:
+    """Entries for boundary, swimmer and viscosity [m2/s] in the set-up of a table; none for water's, as in older files."""
+    return boundary_entry(sharpness) | robot_entry(robot) | ({} if nu == WATER_VISCOSITY else {"nu": nu})
 
 
-def viscosity_option(add: Callable[..., Any]) -> None:
-    """Adds the option `--nu` to the command of a study."""
+def swim_options(add: Callable[..., Any], slips: Iterable[float]) -> None:
+    """Adds --robot, --nu, --beats and those of `study_options` to the command of a study of free swims."""
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--nu", type=console.number(1e-7, 1e-2), default=WATER_VISCOSITY, metavar="M2/S", help="kinematic viscosity")
+    add("--beats", type=console.number(0, 1000, above=True), default=8.0, help="of a swim; the last two count")
+    study_options(add, slips)
 
 
 def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> None:

@@ -1,8 +1,8 @@
 """Many data sets of the flow solver with hidden effects, in several tanks; the same command continues an interrupted run.
 
 fishmj campaign hidden --sets 48 --effects none --device cuda --out data/gap/lbm_null --truth truth_null.json
-fishmj campaign hidden --sets 36 --effects command_latency yaw_drag ... --device cuda --out data/gap/lbm --truth t.json
-fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --excitations gait,steps,tow_ahead --seconds 5 ...
+fishmj campaign hidden --sets 36 --effects command_latency yaw_drag --device cuda --out data/gap/lbm --truth t.json
+fishmj campaign hidden --sets 2 --effects none command_latency=0.04 --excitations gait,steps,tow_ahead --seconds 5 --dry-run
 
 Set i hides effect i of the list, cyclically, in its own robot. OUT/<set>/ is a data set; only the truth file names its hidden
 effect.

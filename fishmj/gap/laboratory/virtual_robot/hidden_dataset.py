@@ -31,7 +31,7 @@ LOTTERIES = {"random": CATALOGUE, "random_odd": ODDITIES}
 
 
 def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> dict[str, dict[str, float]]:
-    """Parses `--plant`: `NAME`, `NAME=value` (main parameter), `NAME:p=1,q=2`, `random`, `random_odd`.
+    """Parses `NAME`, `NAME=value` (main parameter), `NAME:p=1,q=2`, `random`, `random_odd`.
 
     Missing values are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their nulls.
     limits: of each parameter of an effect; default, `bounds`.
@@ -45,7 +45,7 @@ def parse(texts: Iterable[str], seed: int, limits: "Limits | None" = None) -> di
         if own := own_reference(text):
             raise ConfigError(f"effect {own[:60]}: the second robot cannot hide it, having equations of its own; {INSTEAD}")
         rng = random_streams.stream(seed, "lottery", position)
-        asked, (name, main, listed) = f"--plant {text[:60]}", split_text(text)
+        asked, (name, main, listed) = f"effect {text[:60]}", split_text(text)
         first = None if main is None else finite_number(asked, main, EXAMPLE)
         if name in LOTTERIES:
             left = sorted(set(LOTTERIES[name]) - set(effects))

@@ -10,65 +10,29 @@ The solver is slow, so invisible effects are not swum: a single is drawn again u
 robot's water is `LIKELY` at least. That is a forecast; the figure that counts is the solver's own, found afterwards.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, SimDiverged, StoreError
-from fishmj.base.options import setting
-from fishmj.base.store import read_json, write_json, write_text
+from fishmj.base.errors import ConfigError, SimDiverged
+from fishmj.base.store import write_json, write_text
 from fishmj.gap.bench import calibrated, families
 from fishmj.gap.bench.cases import STRENGTH, BenchCase, draw_card
 from fishmj.gap.bench.drawn_robots import FIRST
+from fishmj.gap.bench.solver_plan import PLAN, SCHEMA, SOLVER, FamilyPlan, PlannedRobot, PlanSettings
 from fishmj.gap.laboratory.generators.detectability import BOUND
 from fishmj.log import excitation
 from fishmj.log.excitation import PERIOD, Excitation
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 
-SOLVER = "solver"  # name of the family, in rows and in the structural error
-SCHEMA = "fishmj.solver_family/1"
-FILE = "plan.json"
 MODELS = "models"  # folder of descriptions
 LOGS = 6  # of a session: half of the designed experiments
 SHARING = 4  # robots of a model that share two sessions
 LIKELY = BOUND / 2
 DRAWS = 12  # of a single, at most
-
-
-@dataclass(frozen=True)
-class PlanSettings:
-    """Settings of a plan. models: name -> description."""
-
-    models: dict[str, str]
-    robots: int = setting(14, console.whole(1, 500), "of --plan: of each model (default 14)", metavar="N")
-    singles: int = setting(2, console.whole(0, 20), "of --plan: of each robot (default 2)", metavar="N")
-    seed: int = setting(0, console.whole(0, 10_000), "of --plan: draws everything anew (default 0)", metavar="N")
-    seconds: float = setting(10.0, console.number(1, 60), "of --plan: to which experiments are cut, s (default 10)", metavar="S")
-    calibration: float = setting(8.0, console.number(1, 60), "of --plan: to which free swims are cut, s (default 8)", metavar="S")
-    domain: str = "window_coarse"
-
-
-class PlannedRobot(NamedTuple):
-    """One robot: its model's name, its seed, the experiments of its session, and its cases. forecasts: of each."""
-
-    id: str
-    model: str
-    seed: int
-    experiments: tuple[str, ...]
-    cases: tuple[BenchCase, ...]
-    forecasts: tuple[float | None, ...]
-
-
-class FamilyPlan(NamedTuple):
-    """The whole plan. descriptions: of the models, by name."""
-
-    asked: PlanSettings
-    robots: tuple[PlannedRobot, ...]
-    descriptions: dict[str, Robot]
 
 
 def swims(robot: Robot, seconds: float) -> list[Excitation]:
@@ -152,19 +116,4 @@ def write(plan: FamilyPlan, folder: Path) -> None:
         ]
         robots.append({"id": one.id, "model": one.model, "seed": one.seed, "experiments": list(one.experiments), "cases": cases})
     body = {"schema": SCHEMA, "origin": "synthetic", "asked": asdict(plan.asked) | {"models": models}, "robots": robots}
-    write_json(folder / FILE, console.plain(body))
-
-
-def read(folder: Path) -> FamilyPlan:
-    """The plan of a folder. Raises StoreError: there is none, or it is invalid."""
-    content: dict[str, Any] = read_json(folder / FILE)
-    if content.get("schema") != SCHEMA:
-        raise StoreError(f"{folder / FILE}: schema {content.get('schema')!r}, expected {SCHEMA!r}")
-    asked = PlanSettings(**content["asked"])
-    places = {name: str(folder / source) if (folder / source).is_file() else source for name, source in asked.models.items()}
-    robots = []
-    for one in content["robots"]:
-        runs = tuple(one["experiments"])
-        cases = tuple(BenchCase(c["id"], c["kind"], c["effects"], 1.0, runs, one["seed"]) for c in one["cases"])
-        robots.append(PlannedRobot(one["id"], one["model"], one["seed"], runs, cases, tuple(c["forecast"] for c in one["cases"])))
-    return FamilyPlan(asked, tuple(robots), {name: load_robot(place) for name, place in places.items()})
+    write_json(folder / PLAN, console.plain(body))

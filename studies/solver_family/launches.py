@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.store import write_text
-from fishmj.gap.bench.solver_family import family_plan as plans
-from fishmj.gap.bench.solver_family.family_files import SETS, TRUTH
+from fishmj.gap.bench.solver_plan import PLAN, SETS, TRUTH, read
 from fishmj.gap.records.records import MOVING
 from fishmj.hydro_fit.record import KICK
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle, write_bundle
+from studies.solver_family.family_plan import MODELS
 
 SEEN = 0.8  # s, of which the velocity is told
 LEFT_OUT = "left_out"  # key of the meta data: s that are
@@ -30,9 +30,9 @@ LEFT_OUT = "left_out"  # key of the meta data: s that are
 
 def without_launches(folder: Path, out: Path) -> int:
     """Copies data sets and cuts their launches; returns the number of data sets. Plan, models and truth stay as they are."""
-    for name in (plans.FILE, TRUTH, *(str(path.relative_to(folder)) for path in (folder / plans.MODELS).glob("*.toml"))):
+    for name in (PLAN, TRUTH, *(str(path.relative_to(folder)) for path in (folder / MODELS).glob("*.toml"))):
         write_text(out / name, (folder / name).read_text(encoding="utf-8"))
-    plan, made = plans.read(folder), 0
+    plan, made = read(folder), 0
     for one in plan.robots:
         late = plan.descriptions[one.model].timing.camera_latency
         for path in sorted((folder / SETS).glob(f"{one.id}-*.npz")):

@@ -24,10 +24,7 @@ from fishmj.gap.bench import calibrated, families
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import number_of
 from fishmj.gap.bench.family_rows import APART
-from fishmj.gap.bench.solver_family import solver_detectability
-from fishmj.gap.bench.solver_family.family_files import BARE, FREE, SETS, SWIMS, TRUTH
-from fishmj.gap.bench.solver_family.family_plan import FamilyPlan, PlannedRobot, session, swims
-from fishmj.gap.bench.solver_family.launches import steadied
+from fishmj.gap.bench.solver_plan import FREE, SETS, TRUTH, FamilyPlan, PlannedRobot
 from fishmj.gap.laboratory.hidden_lbm.hidden import HiddenRun, Job, OwnedJobs, jobs, run_jobs, trial_of
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
@@ -35,7 +32,12 @@ from fishmj.log import Trial, excitation
 from fishmj.log.dataset import read_bundle, write_bundle
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
+from studies.solver_family import solver_detectability
+from studies.solver_family.family_plan import session, swims
+from studies.solver_family.launches import steadied
 
+SWIMS = "swims"  # folder of what was swum
+BARE = "-without_noise"  # of a trial's name
 FIRST_FREE = 100  # place of the first free swim, beyond those of the designed experiments
 
 

@@ -1,10 +1,10 @@
 """Make the flow solver's family of robots: healthy ones with free swims for a calibration, and robots with hidden effects.
 
-python -m fishmj.gap.bench.solver_family --plan --models fish five_link.toml --robots 14 --out runs/solver_sets  minutes of a CPU
-python -m fishmj.gap.bench.solver_family --out runs/solver_sets --device cuda --tanks 12      swims it, goes on where it stopped
-python -m fishmj.gap.bench.solver_family --out runs/solver_sets --device cuda --shard 0/3     a third of the swims, beside others
-python -m fishmj.gap.bench.solver_family --out runs/solver_sets --finish                      data sets of what is complete
-python -m fishmj.gap.bench.solver_family --cut runs/old_sets --out runs/solver_sets           older data sets, launches left out
+python -m studies.solver_family --plan --models fish five_link.toml --robots 14 --out runs/solver_sets  minutes of a CPU
+python -m studies.solver_family --out runs/solver_sets --device cuda --tanks 12      swims it, goes on where it stopped
+python -m studies.solver_family --out runs/solver_sets --device cuda --shard 0/3     a third of the swims, beside others
+python -m studies.solver_family --out runs/solver_sets --finish                      data sets of what is complete
+python -m studies.solver_family --cut runs/old_sets --out runs/solver_sets           older data sets, launches left out
 fishmj gap bench --generator solver --sets runs/solver_sets --jobs 0 --out runs/solver      searches them
 
 All of it is *synthetic*. The models of a plan, their number of robots and its seed are those of --plan.
@@ -16,14 +16,13 @@ from pathlib import Path
 from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
 from fishmj.gap.bench.bench_command import shard_of
-from fishmj.gap.bench.solver_family import family_plan as plans
-from fishmj.gap.bench.solver_family import launches
-from fishmj.gap.bench.solver_family.family_files import SETS
-from fishmj.gap.bench.solver_family.family_plan import FamilyPlan, PlanSettings
-from fishmj.gap.bench.solver_family.swims import all_swims, finished, swum_all
+from fishmj.gap.bench.solver_plan import PLAN, SETS, FamilyPlan, PlanSettings, read
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from studies.solver_family import family_plan as plans
+from studies.solver_family import launches
+from studies.solver_family.swims import all_swims, finished, swum_all
 
 RATE = 3500.0  # tank-steps a second of one process: 1.7 M on window_coarse took an H200 483 s (studies/calibration)
 ON_GPU = 12
@@ -31,7 +30,7 @@ ON_GPU = 12
 
 def main(argv: list[str]) -> int:
     """Plans, swims or finishes the sets. Returns the exit code."""
-    parser = console.parser("gap.bench.solver_family", __doc__)
+    parser = console.parser("studies.solver_family", __doc__)
     add = parser.add_argument
     add("--plan", action="store_true", help="draw the plan into OUT, say what it costs, and stop")
     add("--models", nargs="+", type=console.text, default=["fish"], metavar="MODEL", help="of --plan: names or TOML files")
@@ -51,7 +50,7 @@ def main(argv: list[str]) -> int:
     if args.cut:
         console.say(f"{launches.without_launches(args.cut, args.out)} data sets in {args.out / SETS}")
         return console.OK
-    plan = plans.read(args.out)
+    plan = read(args.out)
     if not args.finish:
         swim(plan, args)
     if args.shard[1] > 1 and not args.finish:
@@ -68,7 +67,7 @@ def drawn(args) -> int:
     if len(models) < len(args.models):
         raise ConfigError(f"solver_family: --models {' '.join(args.models)}: two of one name; rename a file")
     asked = PlanSettings(models, domain=args.domain, **console.settings_of(args, PlanSettings))
-    if (args.out / plans.FILE).is_file():
+    if (args.out / PLAN).is_file():
         raise ConfigError(f"solver_family: {args.out} has a plan; go on without --plan, or take another --out")
     with console.Progress(args.robots * len(models), "plan", unit="robots") as bar:
         plan = plans.planned(asked, bar.update)
