@@ -53,7 +53,7 @@ def test_what_is_weighed_where_that_is_proposed_is_searched_with(example, tmp_pa
     """The search itself: test_gap_weighing.py."""
     asked, told = [], iter([("CLASS", "Weigh the robot"), ("NAMED", "")])
 
-    def call(command, *arguments):
+    def call(*arguments):
         asked.append(arguments)
         if arguments[0] == "find":
             folder = Path(arguments[arguments.index("--out") + 1])

@@ -328,10 +328,12 @@ class CommandGroup:
         if name not in self.commands:
             raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
         run = self.commands[name].run
-        module = import_module(run) if isinstance(run, str) else None
-        if module and (examples := split_examples(module.__doc__ or "")[1]):
+        if not isinstance(run, str):
+            return run
+        module = import_module(run)
+        if examples := split_examples(module.__doc__ or "")[1]:
             _EXAMPLES[f"fishmj {self.verb} {name}"] = examples
-        return module.main if module else run
+        return module.main
 
     def usage(self) -> str:
         """Every command with one line, and its example below."""

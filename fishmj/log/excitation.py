@@ -246,6 +246,12 @@ CASUAL = ("ramps", *(f"ramps_{draw}" for draw in range(2, 7)))  # whatever a pol
 DRY = ("sine", "square", "impulse", "chirp", "steps", "staircase", "slow_triangle", "hold_angles")  # worth doing in air
 
 
+def listed(text: str) -> tuple[str, ...]:
+    """Ids of `designed`, `casual`, `dry`, `all`, or of a list with commas. Raises UnknownName: no such excitation."""
+    shelf = {"designed": DESIGNED, "casual": CASUAL, "dry": DRY, "all": names()}
+    return shelf.get(text) or tuple(get(name.strip()).id for name in text.split(","))
+
+
 def _alone_beat(frequency: float, amplitude: float, seconds: float) -> np.ndarray:
     """Joint 1, then 2, then 3, then all of them beat for `seconds` each."""
     beat = gait(frequency, amplitude, 0.0, seconds=seconds)[round(LEAD / PERIOD) :]

@@ -10,7 +10,7 @@ with each explanation at its fitted values; the best separation for its duration
 """
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, LogError, UnknownName
+from fishmj.base.errors import ConfigError, LogError
 from fishmj.engines import own_effects
 from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options, model_version, reported
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     gap_options.of_columns(add)
     add("--model", type=console.text, help="the model that was questioned; default, the one that the report names, else fish")
     add("--same-robot", action="store_true", help="the logs are the model's, although they name another robot")
-    which = "experiments: ids, all, or hinted, a quick look (default all)"
+    which = "experiments: ids, designed, casual, dry, all, or hinted, a quick look (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
     add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
     gap_options.of_mass(add)
@@ -152,8 +152,4 @@ def _runs(text: str, sides: list[Hypothesis]) -> tuple[str, ...]:
     """Ids of the experiments to consider."""
     if text == "hinted":
         return hinted_experiments(sides)
-    listed = excitation.names() if text == "all" else tuple(name.strip() for name in text.split(","))
-    for name in listed:
-        if name not in excitation.names():
-            raise UnknownName("excitation", name, excitation.names())
-    return listed
+    return excitation.listed(text)

@@ -222,9 +222,7 @@ def other_water(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
 
 def experiments(args) -> list[str]:
     """Ids of the trials to make; the list is repeated if it is too short."""
-    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "dry": excitation.DRY, "all": excitation.names()}
-    asked = shelf.get(args.excitations, [name.strip() for name in args.excitations.split(",")])
-    return [excitation.get(n).id for n in islice(cycle(asked), args.logs)]
+    return list(islice(cycle(excitation.listed(args.excitations)), args.logs))
 
 
 def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:

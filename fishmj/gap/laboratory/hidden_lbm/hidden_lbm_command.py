@@ -17,7 +17,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, OracleUnstable
 from fishmj.base.store import Manifest, read_json, write_json
 from fishmj.gap.laboratory.hidden_lbm.hidden import Job, OwnedJobs, jobs, run_jobs, trial_of
-from fishmj.gap.laboratory.virtual_robot.hidden_dataset import parse
+from fishmj.gap.laboratory.virtual_robot import hidden_dataset
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, preset
@@ -41,7 +41,7 @@ def main(argv: list[str]) -> int:
     named = "none|random|NAME[=value]"
     add("--effects", type=console.text, nargs="+", default=["none"], metavar=named, help="one a set, round and round")
     add("--model", type=console.text, default="fish", help="the robot, name or TOML file (default fish)")
-    add("--excitations", type=console.text, default="designed", help="designed, casual, all, or ids with commas")
+    add("--excitations", type=console.text, default="designed", help="designed, casual, dry, all, or ids with commas")
     cut = "cut every experiment to this length; by default they are run to their end"
     add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
     add("--seed", type=console.SEED, default=0, help="of set 0; set i has seed + i")
@@ -132,7 +132,7 @@ def sized(args) -> tuple[int, int]:
 def plan_of(args, sets: int) -> dict[str, list[Job]]:
     """Jobs of the first sets, by the name of each. Raises ConfigError, UnknownName: no such effect, excitation or domain."""
     robot, box = load_robot(args.model), preset(args.domain)
-    runs = [_cut(excitation.get(name, robot.n_joints), args.seconds) for name in _ids(args.excitations)]
+    runs = [_cut(excitation.get(name, robot.n_joints), args.seconds) for name in excitation.listed(args.excitations)]
     plan = {}
     for i in range(sets):
         effects, seed = effects_of(args, i), args.seed + i
@@ -143,12 +143,7 @@ def plan_of(args, sets: int) -> dict[str, list[Job]]:
 def effects_of(args, i: int) -> dict:
     """Hidden effects of set i."""
     text = args.effects[i % len(args.effects)]
-    return {} if text == "none" else parse([text], args.seed + i)
-
-
-def _ids(text: str) -> list[str]:
-    shelf = {"designed": excitation.DESIGNED, "casual": excitation.CASUAL, "all": excitation.names()}
-    return list(shelf.get(text, [name.strip() for name in text.split(",")]))
+    return {} if text == "none" else hidden_dataset.parse([text], args.seed + i)
 
 
 def _cut(what: Excitation, seconds: float | None) -> Excitation:
@@ -162,8 +157,8 @@ def _apart(args) -> None:
     """
     if None in (args.out, args.truth) and not args.dry_run:
         raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
-    if None not in (args.out, args.truth) and args.truth.resolve().is_relative_to(args.out.resolve()):
-        raise ConfigError(f"--truth {args.truth} lies inside {args.out}; choose a file outside, or nothing stays hidden")
+    if None not in (args.out, args.truth):
+        hidden_dataset.apart(args.out, args.truth)
 
 
 def _seal(args) -> None:

@@ -93,7 +93,7 @@ def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> 
     checked(folder.resolve().name, "data set", "--out")
     if truth.is_dir():
         raise ConfigError(f"--truth {truth}: is a folder; name a file outside the data set")
-    _apart(folder, truth)
+    apart(folder, truth)
     if truth.exists() and not overwrite:
         raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
     above = next((p for p in folder.resolve().parents if any((p / f).is_file() for f in (MANIFEST, META_FILE))), None)
@@ -114,7 +114,8 @@ def placed(folder: Path, truth: Path, names: Iterable[str], overwrite: bool) -> 
     return folder, truth
 
 
-def _apart(folder: Path, truth: Path) -> None:
+def apart(folder: Path, truth: Path) -> None:
+    """Raises ConfigError for a truth inside its data set."""
     if truth.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(f"--truth {truth} lies inside the data set {folder}; choose a file outside, or nothing stays hidden")
 
@@ -128,7 +129,7 @@ def write_hidden(
     Raises ConfigError: the truth would lie inside the data set; StoreError: a file exists, or the disk refuses.
     """
     folder, truth = Path(folder), Path(truth)
-    _apart(folder, truth)
+    apart(folder, truth)
     if truth.exists() and not overwrite:
         raise ConfigError(f"--truth {truth} exists; choose another name or pass --overwrite")
     if overwrite:
