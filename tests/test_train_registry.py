@@ -215,6 +215,8 @@ def test_a_checkpoint_under_the_former_names_is_read_to_the_bit(algo):
     again = arrays_of(tree_of(former, learner.init(jax.random.key(2))))
     for name, value in arrays.items():
         np.testing.assert_array_equal(again[name], value, err_msg=name)
+    with pytest.raises(ConfigError, match=r"fishmj, the robot or the water has changed .* fishmj train --begin RUN"):
+        tree_of({name: value[None] for name, value in arrays.items()}, state)
 
 
 def test_what_is_exported_is_what_acts():

@@ -84,7 +84,9 @@ def tree_of(arrays: dict[str, np.ndarray], like):
             continue
         if name not in arrays or arrays[name].shape != expected:
             got = arrays[name].shape if name in arrays else "nothing"
-            raise ConfigError(f"checkpoint: {name} is {got}, this run needs {expected}; it was made with other settings")
+            changed = "settings are the same, so fishmj, the robot or the water has changed since it was made"
+            remedy = "go on with those, or begin anew from its policy: fishmj train --begin RUN --out NEW"
+            raise ConfigError(f"checkpoint: {name} is {got}, this run needs {expected}; {changed}; {remedy}")
         value = jax.numpy.asarray(arrays[name])
         leaves.append(jax.random.wrap_key_data(value) if key else value.astype(leaf.dtype))
     return jax.tree_util.tree_unflatten(shape, leaves)
