@@ -14,6 +14,7 @@ import csv
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,20 +28,24 @@ from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 FROM = 8  # beats before: the fish speeds up
 
 
+def sides(box: str) -> tuple[float, float, float]:
+    """Sides of a box, m, from text `x,y,z`."""
+    x, y, z = map(float, box.split(","))
+    return x, y, z
+
+
 def speeds(args: argparse.Namespace) -> list[float]:
     """Speed of each beat, m/s."""
-    boundary = replace(
-        {**BOUNDARIES, "edges": markers.EDGES}[args.boundary],
-        **{key: float(value) for key, value in (pair.split("=") for pair in args.set)},
-    )
+    lengths: dict[str, Any] = {key: float(value) for key, value in (pair.split("=") for pair in args.set)}
+    boundary = replace({**BOUNDARIES, "edges": markers.EDGES}[args.boundary], **lengths)
     domain = preset(args.domain)
     if args.boxes:
-        first, *finer = (tuple(float(side) for side in box.split(",")) for box in args.boxes)
+        first, *finer = map(sides, args.boxes)
         domain = replace(domain, fine=first, finer=tuple(finer))
     if args.part > 1:
         domain = domain.changed(dt=domain.dt / args.part)
     if args.cw is not None:
-        setup.Fluid = partial(fluid.Fluid, cw=args.cw)
+        setup.Fluid = partial(fluid.Fluid, cw=args.cw)  # type: ignore[misc, assignment]
     run = setup.SwimSetup(domain=domain, slip=1.0, device=args.device, sharpness=boundary, passes=args.passes).run()
     gait = setup.Gait.of_the_paper(joints=run.robot.n_joints)
     ticks = round(1.0 / gait.frequency / run.robot.timing.bus_dt)
