@@ -13,7 +13,6 @@ import argparse
 import csv
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,25 +21,26 @@ from fishmj.base import console
 from fishmj.lbm_oracle.fluid import fluid
 from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.run import setup
-from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.domain import EVERY, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
+from fishmj.lbm_oracle.run.swim import drive
 
 FROM = 8  # beats before: the fish speeds up
 
 
 def sides(box: str) -> tuple[float, float, float]:
-    """Sides of a box, m, from text `x,y,z`."""
+    """Sides of a box, m, from text `x,y,z`. Raises ValueError: no three numbers."""
     x, y, z = map(float, box.split(","))
     return x, y, z
 
 
-def speeds(args: argparse.Namespace) -> list[float]:
-    """Speed of each beat, m/s."""
+def speeds(args: argparse.Namespace) -> np.ndarray:
+    """Speeds of the beats (n,), m/s; fewer than asked if the swim stopped."""
     lengths: dict[str, Any] = {key: float(value) for key, value in (pair.split("=") for pair in args.set)}
     boundary = replace({**BOUNDARIES, "edges": markers.EDGES}[args.boundary], **lengths)
     domain = preset(args.domain)
     if args.boxes:
-        first, *finer = map(sides, args.boxes)
+        first, *finer = args.boxes
         domain = replace(domain, fine=first, finer=tuple(finer))
     if args.part > 1:
         domain = domain.changed(dt=domain.dt / args.part)
@@ -48,37 +48,39 @@ def speeds(args: argparse.Namespace) -> list[float]:
         setup.Fluid = partial(fluid.Fluid, cw=args.cw)  # type: ignore[misc, assignment]
     run = setup.SwimSetup(domain=domain, slip=1.0, device=args.device, sharpness=boundary, passes=args.passes).run()
     gait = setup.Gait.of_the_paper(joints=run.robot.n_joints)
-    ticks = round(1.0 / gait.frequency / run.robot.timing.bus_dt)
-    place, found = run.pose[:2].copy(), []
-    for beat in range(args.beats):
-        for _ in range(ticks):
-            run.tick(gait(run.time))
-            if run.stopped:
-                raise SystemExit(f"beat {beat + 1}: {run.stopped}")
-        found.append(float(np.hypot(*(run.pose[:2] - place))) * gait.frequency)
-        place = run.pose[:2].copy()
-        console.say(f"beat {beat + 1}: {found[-1]:.4f} m/s")
-    return found
+    drive(run, gait, args.beats / gait.frequency)
+    truth = run.trial().tables["truth"]
+    ends = np.arange(np.floor(truth["t"][-1] * gait.frequency + 1e-6) + 1) / gait.frequency
+    path = np.stack([np.interp(ends, truth["t"], truth[axis]) for axis in "xy"], 1)
+    return np.hypot(*np.diff(path, axis=0).T) * gait.frequency
 
 
-def main() -> None:
-    """Command of the module's docstring."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--domain", default="window_coarse_refined_twice")
-    parser.add_argument("--boxes", nargs="*", help="x,y,z m of each finer box, coarsest first (default: the domain's)")
-    parser.add_argument("--part", type=int, default=1, help="parts of the domain's time step (default: 1)")
-    parser.add_argument("--beats", type=int, default=10)
-    parser.add_argument("--boundary", choices=(*BOUNDARIES, "edges"), default="wall_stress")
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=CELLS", help="lengths of markers.Sharpness")
-    parser.add_argument("--cw", type=float, help="constant of the WALE filter (default: the solver's)")
-    parser.add_argument("--passes", type=int, default=2, help="passes of the forcing (default: 2)")
-    parser.add_argument("--device", default="cuda")
-    parser.add_argument("--csv", type=Path, metavar="FILE")
-    parser.add_argument("--label", default="", help="of the rows in --csv")
-    args = parser.parse_args()
+def main(argv: list[str]) -> int:
+    """Prints the speed of each beat. Returns the exit code."""
+    parser = console.parser("solver_cruise", __doc__ or "", json=False)
+    add = parser.add_argument
+    add("--domain", choices=EVERY, default="window_coarse_refined_twice", help="box of water")
+    add(
+        "--boxes",
+        nargs="*",
+        type=sides,
+        default=[],
+        metavar="X,Y,Z",
+        help="m, of each finer box, coarsest first; default the domain's",
+    )
+    add("--part", type=console.whole(1, 100), default=1, metavar="N", help="parts of the domain's time step (default 1)")
+    add("--beats", type=console.whole(1, 1000), default=10, metavar="N", help="of the swim (default 10)")
+    add("--boundary", choices=(*BOUNDARIES, "edges"), default="wall_stress", help="of the hull (default wall_stress)")
+    add("--set", nargs="*", default=[], metavar="NAME=CELLS", help="lengths of markers.Sharpness")
+    add("--cw", type=console.number(0, 10), help="constant of the WALE filter (default: the solver's)")
+    add("--passes", type=console.whole(1, 100), default=2, metavar="N", help="of the forcing (default 2)")
+    add("--device", default="cuda", help="cpu, cuda or cuda:N (default cuda)")
+    add("--csv", type=console.out_file, metavar="FILE", help="to which rows are appended (default none)")
+    add("--label", type=console.text, default="as it is", help="of the rows in --csv (default: as it is)")
+    args = parser.parse_args(argv)
     found = speeds(args)
-    if len(found) > FROM + 1:
-        late = np.array(found[FROM:])
+    console.say(console.table([{"beat": beat, "speed_m_s": round(speed, 4)} for beat, speed in enumerate(found, 1)]))
+    if len(late := found[FROM:]) > 1:
         error = late.std(ddof=1) / np.sqrt(len(late))
         console.say(f"beats {FROM + 1} to {len(found)}: {late.mean():.4f} +- {error:.4f} m/s")
     if args.csv:
@@ -87,8 +89,9 @@ def main() -> None:
             rows = csv.writer(file)
             if new:
                 rows.writerow(["label", "domain", "beat", "speed_m_s"])
-            rows.writerows([args.label, args.domain, beat + 1, round(speed, 5)] for beat, speed in enumerate(found))
+            rows.writerows([args.label, args.domain, beat, round(speed, 5)] for beat, speed in enumerate(found, 1))
+    return console.OK
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(console.run(main))

@@ -146,7 +146,7 @@ def test_thin_and_overlapping_geoms_are_named(capsys):
     ],
 )
 def test_straight_edges_on_nodes_are_told(cells, aside, told, capsys):
-    """Of a square, not of one that is turned or turns; its drag is 1.591 with 8 cells, 1.570 half a cell aside (Re 96)."""
+    """The warning is for a fixed square along the grid: its drag is 1.591 with 8 cells, and 1.570 half a cell aside (Re 96)."""
     half, at = cells * 0.005, (0.12 + 0.01 * aside,) * 2
     square = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     tank((0.4, 0.24), sponge=4).add(section(square), at=at)

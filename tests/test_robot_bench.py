@@ -109,14 +109,14 @@ def test_servo_of_bam_without_load_law_moves_as_the_description_does():
 
 
 def test_servo_of_bam_keeps_voltage_to_spare(monkeypatch):
-    def asked(most: float) -> float:
-        """Largest share of the voltage in the logs: k_p |command - angle| over the stall torque."""
+    def largest_share(most: float) -> float:
+        """Returns k_p |command - angle| over the stall torque, at its largest in the logs, for a bound of `most`."""
         monkeypatch.setattr(stands, "SPENT", most)
         told = draw_session("bam", "two_link", (), 5, 2, 2.0)
         kp, stall = told.plan.column("kp"), told.plan.column("limit")
         return max(np.max(kp * np.abs(log.commands - log.states[:, 0]) / stall) for log in told.logs)
 
-    assert stands.SPENT < 1.0 and asked(0.6) < 0.6 < 0.8 < asked(np.inf)
+    assert stands.SPENT < 1.0 and largest_share(0.6) < 0.6 < 0.8 < largest_share(np.inf)
 
 
 def test_laws_at_known_states():

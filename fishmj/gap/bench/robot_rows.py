@@ -51,7 +51,7 @@ def answer_of(place: Path) -> dict:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             inquiry = find_robot.search(robot, trials, argparse.Namespace(**AS_SHIPPED))
     except FishmjError as error:
-        return nothing | {"answer": "REFUSED", "reason": str(error)}
+        return nothing | {"answer": "REFUSED", "reason": str(error).replace(f"{place.parent}/", "")}  # rows are shared
     except Exception as error:  # noqa: BLE001  one fault of the search must not end a benchmark of hundreds; it is counted
         told = traceback.format_exc().splitlines()[-8:]
         return nothing | {"answer": "FAULT", "reason": f"{type(error).__name__}: {error}", "traceback": told}

@@ -33,7 +33,7 @@ REWRITTEN = 1e-3  # relative; MuJoCo rounds the sizes of geoms, too
 SOURCE = ("paths", "npaths", "nbuffer", "signature")  # what of a model is of its text
 # Frames of the inertia may be numbered otherwise; ctrlspec says what a command means, and no dynamics.
 FRAMES = ("body_inertia", "body_iquat", "body_sameframe", "geom_sameframe", "site_sameframe", "bvh_aabb", "actuator_ctrlspec")
-# What mj_setConst makes of other fields; values of laws, which the module beside the text holds (callback_module.py).
+# Fields that mj_setConst computes from others; jnt_user holds values of laws, which callback_module.py writes.
 FOLLOWING = (
     *("actuator_acc0", "body_invweight0", "body_subtreemass", "cam_poscom0", "dof_M0", "dof_invweight0", "dof_length"),
     *("light_poscom0", "tendon_invweight0", "jnt_user"),

@@ -42,7 +42,7 @@ class MujocoPlant(MujocoState):
     """MuJoCo's own actuators, friction, armature, damping and medium; laws beyond them as applied torques."""
 
     h = 0.001
-    spent = 0.0  # `BamPlant`
+    spent = 0.0  # largest share of a servo's voltage, told by `BamPlant` alone
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
         self.plan, self.hidden = plan, hidden
