@@ -12,8 +12,9 @@ from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.progress import silent_bar
+from fishmj.gap.search.fit import on_records
 from fishmj.gap.search.likelihood import likelihood_of
-from fishmj.gap.search.shared_effects import apart, kinds, shares
+from fishmj.gap.search.shared_effects import apart, kinds, shared_candidates, shares
 from fishmj.gap.search.stepwise import forward_select, split
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
 
@@ -77,6 +78,22 @@ def test_friction_of_many_joints_comes_in_one_round_with_a_value_for_each(tmp_pa
         assert found.best.row[place] == pytest.approx(size, abs=0.1 * max(HIDDEN))
     assert apart(model, "coulomb_friction@hip0", "rotor_inertia@hip1")
     assert not apart(model, "coulomb_friction@hip0", "command_latency")
+
+
+def test_single_effects_beside_a_kind_are_fitted_to_all_records(tmp_path):
+    (tmp_path / "legs.xml").write_text(legs(4))
+    write_legs(tmp_path / "logs", [0.06] * 4, logs=2)
+    robot = read_robot(tmp_path / "legs.xml")
+    records = records_of(robot, tmp_path / "logs")
+    model = RigidRobot(robot, sizes_of(robot, records), [effects.robot_catalogue()[name] for name in SOME[:1]])
+    e = likelihood_of(model, records, RobotNull(16))
+    whole, few = e.subset(), e.subset(np.arange(len(e.layout.records)) == 0)
+    base = on_records(few, whole.base())
+    screened = few.screen(base, model.active.effects)
+    many, alone = shared_candidates(whole, whole.base(), base, screened, robot_gates())
+    assert [c.added for c in many] == [4] and len(alone) == 4
+    for c in (*many, *alone):
+        assert c.z.size == e.layout.size and np.isfinite(whole.evidence(c))
 
 
 def test_robot_of_three_joints_is_searched_joint_by_joint(tmp_path):

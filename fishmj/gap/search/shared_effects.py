@@ -16,7 +16,7 @@ import numpy as np
 
 from fishmj.effects.effect import AT, kind_of, site_of
 from fishmj.gap.models.rigid_robot import RigidRobot
-from fishmj.gap.search.fit import Candidate, EffectFitter, bounds
+from fishmj.gap.search.fit import Candidate, EffectFitter, bounds, on_records
 from fishmj.gap.thresholds import Gates, thresholds
 
 
@@ -75,7 +75,7 @@ def shared_candidates(
     fitted = whole.refine(whole.refine([joined(whole, base, found) for found in many], 2)[: thresholds().stepwise.attempts], 2)
     sites = {site_of(name) for c in fitted for name in c.newest}
     alone = [[c for c in screened if site_of(c.names[-1]) == site][: thresholds().stepwise.attempts] for site in sorted(sites)]
-    return fitted, [c for some in alone for c in some]
+    return fitted, [on_records(whole, c) for some in alone for c in some]
 
 
 def least_needed(search: EffectFitter, c: Candidate, gain: float) -> list[str]:
