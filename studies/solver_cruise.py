@@ -2,6 +2,7 @@
 
 python -m studies.solver_cruise --domain window_coarse_refined_twice --beats 24     boundary of reference-3, 5 mm round the fish
 python -m studies.solver_cruise --boxes 1.2,1.2,0.6 1,1,0.44                        larger boxes of finer cells
+python -m studies.solver_cruise --water low-reynolds                                another water, 5 mm round the fish
 python -m studies.solver_cruise --part 2                                            half the time step
 python -m studies.solver_cruise --set hull=0.9 rim=2.5                              markers drawn in further (cells)
 
@@ -22,7 +23,7 @@ from fishmj.lbm_oracle.fluid import fluid
 from fishmj.lbm_oracle.immersed import markers
 from fishmj.lbm_oracle.run import setup
 from fishmj.lbm_oracle.run.domain import EVERY, preset
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCES
 from fishmj.lbm_oracle.run.swim import drive
 
 FROM = 8  # beats before: the fish speeds up
@@ -37,8 +38,10 @@ def sides(box: str) -> tuple[float, float, float]:
 def speeds(args: argparse.Namespace) -> np.ndarray:
     """Speeds of the beats (n,), m/s; fewer than asked if the swim stopped."""
     lengths: dict[str, Any] = {key: float(value) for key, value in (pair.split("=") for pair in args.set)}
-    boundary = replace({**BOUNDARIES, "edges": markers.EDGES}[args.boundary], **lengths)
-    domain = preset(args.domain)
+    water = REFERENCES[args.water]
+    hull = {**BOUNDARIES, "edges": markers.EDGES}[args.boundary] if args.boundary else water.sharpness
+    boundary = replace(hull, **lengths)
+    domain = preset(args.domain).changed(nu=water.nu)
     if args.boxes:
         first, *finer = args.boxes
         domain = replace(domain, fine=first, finer=tuple(finer))
@@ -46,7 +49,7 @@ def speeds(args: argparse.Namespace) -> np.ndarray:
         domain = domain.changed(dt=domain.dt / args.part)
     if args.cw is not None:
         setup.Fluid = partial(fluid.Fluid, cw=args.cw)  # type: ignore[misc, assignment]
-    run = setup.SwimSetup(domain=domain, slip=1.0, device=args.device, sharpness=boundary, passes=args.passes).run()
+    run = setup.SwimSetup(domain=domain, slip=water.slip, device=args.device, sharpness=boundary, passes=args.passes).run()
     gait = setup.Gait.of_the_paper(joints=run.robot.n_joints)
     drive(run, gait, args.beats / gait.frequency)
     truth = run.trial().tables["truth"]
@@ -70,7 +73,13 @@ def main(argv: list[str]) -> int:
     )
     add("--part", type=console.whole(1, 100), default=1, metavar="N", help="parts of the domain's time step (default 1)")
     add("--beats", type=console.whole(1, 1000), default=10, metavar="N", help="of the swim (default 10)")
-    add("--boundary", choices=(*BOUNDARIES, "edges"), default="wall_stress", help="of the hull (default wall_stress)")
+    add(
+        "--water",
+        choices=tuple(REFERENCES),
+        default="reference-3",
+        help="its slip ratio, boundary and viscosity (default reference-3)",
+    )
+    add("--boundary", choices=(*BOUNDARIES, "edges"), help="of the hull (default: the water's)")
     add("--set", nargs="*", default=[], metavar="NAME=CELLS", help="lengths of markers.Sharpness")
     add("--cw", type=console.number(0, 10), help="constant of the WALE filter (default: the solver's)")
     add("--passes", type=console.whole(1, 100), default=2, metavar="N", help="of the forcing (default 2)")

@@ -111,8 +111,8 @@ class Sharpness:
 
 
 PLAIN = Sharpness()
-# chosen on spheres, plates and the added mass of sheets; of a 3-point kernel (studies/solver/NOTES.md)
-SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.15, sheet_slip=KINK[3])
+# chosen on spheres, plates, the added mass of sheets and an eel on three grids; of a 3-point kernel (studies/solver/NOTES.md)
+SHARP = Sharpness(hull=0.45, rim=1.25, hull_slip=0.05, sheet_slip=KINK[3])
 EDGES = replace(SHARP, edges=True)  # chosen on paddles (`cases.paddle`)
 WALL_STRESS = replace(EDGES, law_height=0.015)
 FINS = replace(EDGES, layer=LAYER)  # judged on discs and plates (`cases.disc`)

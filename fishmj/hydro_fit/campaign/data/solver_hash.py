@@ -43,10 +43,12 @@ LAYERS = "40b752a4b504c515a2b77bae0882d6b4f2c55536e0accb47bb0f314f7c3a6c87"  # a
 SPREAD = "3cf54951701cf4e9b94d0421e003b02d83bd3b8c60d8d8f147a58ccd5ad0c93a"
 STRIPS = "fd800b9bc1b98f70f59f79be8e3c77f6c132131a16b94082d36bf562966f3e89"  # boxes in water one cell deep; the rest to the bit
 ADVISED = "d891ef68f617eff224cdc76b455da9562231f5ad7e356bf55490d2a9bce79424"  # words of an error alone
+# the slip length of hulls where water sticks; the rest to the bit
+STICKING = "0f32fa9ac2aaf1fcf024c955ada5ea1525658a38fbafa98338a9f26b52017787"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED), SHIPPED)
+SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED, STICKING), SHIPPED)
 # of segments with a law of the wall; SPREAD gives the water its force over a layer
-SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD}
+SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD, STICKING: SPREAD}
 
 
 @cache
