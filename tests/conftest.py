@@ -17,6 +17,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from packaging.version import Version
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported; its threads spin, and tests run side by side
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")  # s; JAX's own default is for longer programs
 # A test's programs run for milliseconds: XLA compiles them in a third of the time where it does not optimise them.
 # XLA ends a process at a flag that it does not know; jaxlib 0.11 has no longer that of the emitters.

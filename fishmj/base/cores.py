@@ -1,11 +1,22 @@
-"""Number of usable cores, and memory of the machine."""
+"""Number of usable cores, threads of linear algebra, and memory of the machine."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from threadpoolctl import threadpool_limits
 
 
 def usable_cores() -> int:
     """Number of cores that this process may run on (its affinity, where the system reports it)."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """NumPy's and SciPy's linear algebra in one thread: on small matrices its threads wait for each other, turning round."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def memory_bytes() -> int:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
 from fishmj.gap.models.rigid_robot import RigidRobot
@@ -70,6 +71,7 @@ class Inquiry:
         return any(t.value("origin") == "synthetic" for t in self.trials)
 
 
+@one_blas_thread()
 @np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
 def investigate(
     model,

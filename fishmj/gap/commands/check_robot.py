@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.base import console
+from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap import progress
 from fishmj.gap.commands import reported
@@ -47,6 +48,7 @@ class Ratio(NamedTuple):
         return f"{number(self.value)} ({number(self.low)} to {number(self.high)}, over {self.over})"
 
 
+@one_blas_thread()
 def check_robot(args: Any) -> dict:
     """Answers the command: both gaps, by joint too, and the reason of a failure ("" without one). args: of `gap check`.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.base import console, interrupt
+from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import write_json
 from fishmj.gap import progress
@@ -123,6 +124,7 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
     return found
 
 
+@one_blas_thread()
 def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     """Searches the logs."""
     gates = robot_gates()
