@@ -15,7 +15,7 @@ from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
 
-SET_ON = "Some thresholds were chosen with the logs of one robot in view. How often the answer is wrong is not measured."
+SET_ON = "Some thresholds were chosen with the logs of one robot in view. How often names are right: docs/search/mujoco_robot.md."
 
 
 def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[str, str], folder: Path) -> str:

@@ -324,6 +324,7 @@ def gates(m: ReportData) -> list[Gate]:
     checks, accepted = v.gates, bool(first and first.accepted)
     had = lambda key: float(checks.get(key, float("nan")))
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
+    doubts = 0 if v.answer == "NAMED" else len(v.warnings)  # what is warned of beside a name is no doubt about its value
     rows = (
         ("gap", "Is there more than null runs reach?")
         + (level(had("adequacy")), f"> {g.adequacy:g}", had("adequacy") > g.adequacy or accepted),
@@ -341,7 +342,7 @@ def gates(m: ReportData) -> list[Gate]:
         + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer),
         ("uniqueness", "Is no other effect nearly as good?")
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
-        ("sanity", "Are the values believable?") + (f"{len(v.warnings)} warnings", "none", not v.warnings),
+        ("sanity", "Are the values believable?") + (f"{doubts} warnings", "none", not doubts),
         ("force", "Does no free force that is right in its form explain more, unseen?")
         + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(thresholds().stronger.lead)}", not is_outdone(checks)),
     )
