@@ -3,8 +3,8 @@
     python -m studies.robot_cost --out runs/robot_cost
 
 Ten logs of ten seconds of a drawn arm of two joints and of one of six, dry friction hidden at a joint, and the twelve swims of
-the tutorial (`gap plant coulomb_friction=0.1`), all *synthetic*. Each search is a process of its own. The first round compiles; in
-the second another number of null runs keeps the fish from the runs of the first. CPU seconds are those of the second.
+the tutorial (`gap plant coulomb_friction=0.1`), all *synthetic*. Each search is a process of its own. The first round compiles;
+in the second another number of null runs keeps the fish from the runs of the first. CPU seconds are those of the second.
 """
 
 import argparse

@@ -14,7 +14,7 @@ def usable_cores() -> int:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """NumPy's and SciPy's linear algebra in one thread: on small matrices its threads wait for each other, turning round."""
+    """NumPy's and SciPy's linear algebra in one thread: on small matrices its threads spend their time waiting for each other."""
     with threadpool_limits(limits=1, user_api="blas"):
         yield
 
