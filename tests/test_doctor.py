@@ -10,7 +10,7 @@ import pytest
 from fishmj.base import console, doctor
 from fishmj.base.doctor import DoctorFinding, browser, requirements, verdicts, version
 
-DECIDED = {"mujoco", "numpy", "scipy", "matplotlib", "safetensors", "pydantic", "jinja2", "packaging"}
+DECIDED = {"mujoco", "numpy", "scipy", "matplotlib", "safetensors", "pydantic", "jinja2", "packaging", "threadpoolctl"}
 
 
 def one(findings: list[DoctorFinding], name: str) -> DoctorFinding:

@@ -4,8 +4,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from threadpoolctl import threadpool_limits
-
 
 def usable_cores() -> int:
     """Number of cores that this process may run on (its affinity, where the system reports it)."""
@@ -15,6 +13,8 @@ def usable_cores() -> int:
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """NumPy's and SciPy's linear algebra in one thread: on small matrices its threads spend their time waiting for each other."""
+    from threadpoolctl import threadpool_limits  # here: the doctor counts cores where nothing is installed
+
     with threadpool_limits(limits=1, user_api="blas"):
         yield
 
