@@ -65,7 +65,7 @@ def joined(search: EffectFitter, base: Candidate, found: list[Candidate]) -> Can
 def shared_candidates(
     whole: EffectFitter, base: Candidate, few: Candidate, screened: list[Candidate], gates: Gates
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """(the best kinds, each at all its sites, fitted together; the best effects of each of those sites, alone).
+    """(the best kinds, each at all its sites, fitted together; the best effects of each of those sites alone), on all records.
 
     few: `base` on the records of screened, which has one more effect in each, best first.
     """
