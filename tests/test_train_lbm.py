@@ -11,11 +11,12 @@ from training import Point, StopAt, figures_of
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, OracleUnstable
 from fishmj.control.policy import Policy
-from fishmj.engines import lbm
+from fishmj.engines import lbm, nominal_params
 from fishmj.engines.lbm_episodes import LbmEpisodes
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import LeftDomain
+from fishmj.mjcf import load_robot
 from fishmj.tasks import station_hold
 from fishmj.train import correct_water
 from fishmj.train.__main__ import main
@@ -144,11 +145,28 @@ def test_a_critic_that_learns_alone_leaves_the_actor_as_it_is():
     assert same((state.actor, state.log_sigma), kept[:2]) and not same(state.critic, kept[2])
 
 
+def test_tanks_take_several_devices_in_turn(monkeypatch):
+    """A new tank of a fish stands where its first one stood."""
+    asked, engine = [], LbmEpisodes(load_robot("fish"), "none", 1, device="cpu,cpu")
+    assert engine.devices == ("cpu", "cpu")
+    engine.devices, engine.flows = ("first", "second"), [engine.kind] * 3
+
+    def stage(**given):
+        asked.append(given["device"])
+        raise LeftDomain("no water here")
+
+    monkeypatch.setattr(lbm, "SwimSetup", stage)
+    params = nominal_params(engine.robot, 3)
+    for fish in (0, 1, 2, 1):
+        with pytest.raises(LeftDomain):
+            engine.tank(fish, np.zeros(6), params)
+    assert asked == ["first", "second", "first", "second"]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         ("--engine lbm --preset quick", "each of its fish would be a tank"),
-        ("--engine lbm --device cuda:all", "tanks of a training share one"),
         ("--engine lbm --together --seeds 0,1", "--together: not in the flow solver"),
         ("--engine lbm --algo sb3-ppo", "--algo sb3-ppo: not in the flow solver"),
         ("--engine lbm --ray local:2", "--ray: not in the flow solver"),

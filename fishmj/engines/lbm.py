@@ -1,4 +1,4 @@
-"""The flow solver behind the engines' interface: one tank of water a fish, all tanks side by side on one device.
+"""The flow solver behind the engines' interface: one tank of water a fish, all tanks side by side.
 
 `advance` has the interface that the judge expects, so every controller runs in the solver unchanged. Unlike the other engines a
 tank remembers its water: it is filled at the first call, from the poses, parameters and flows of the trials. A fish that comes
@@ -19,6 +19,7 @@ from fishmj.effects.effect_calibration import activate
 from fishmj.engines import FishParams, FishState, Steps, Trace, check_commands, drained, ticks_per
 from fishmj.engines.tank_effects import check_effects
 from fishmj.engines.tank_run import EffectRun, TankEffects
+from fishmj.lbm_oracle.fluid.device import devices_of, several
 from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
@@ -38,7 +39,7 @@ class LbmEngine:
     Args:
         robot: description; its effects act as described in `tank_effects`.
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm, `paper_refined` the same with 1 cm round the fish.
-        slip: ratio at the paper's grid. device: auto, cpu or cuda.
+        slip: ratio at the paper's grid. device: auto, cpu or cuda; `cuda:all` or a list, the tanks in turn on each of them.
         finer: number of time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
         storage: type of the populations. dx: m, cells in place of the domain's. nu: m2/s, kinematic viscosity.
 
@@ -56,7 +57,8 @@ class LbmEngine:
         self.robot, self.flows = robot, list(flows)
         self.active = activate(robot.effects, robot.n_joints)[0] if robot.effects else None
         box = preset(domain).changed(nu=nu).with_cells(dx)
-        self.domain, self.slip, self.device = replace(box, dt=box.dt / finer), slip, device
+        self.domain, self.slip = replace(box, dt=box.dt / finer), slip
+        self.devices = devices_of(device) if several(device) else (device,)
         self.width, self.passes, self.sharpness, self.storage = width, passes, sharpness, storage
         self.tanks: ConcurrentRuns | None = None
 
@@ -134,7 +136,7 @@ class LbmEngine:
             added = TankEffects(self.robot, self.active, np.asarray(params.effects)[i], kept, swimmer)
             flow = added.stream(flow)
         stage = SwimSetup(
-            domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.device,
+            domain=self.domain, robot=self.robot, flow=flow, slip=self.slip, device=self.devices[i % len(self.devices)],
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
             width=self.width, passes=self.passes, sharpness=self.sharpness, storage=self.storage,
         )  # fmt: skip

@@ -74,7 +74,7 @@ def options() -> console.Parser:
     correct += " again, until they agree; the same command goes on"
     p.add_argument("--correct", action="store_true", help=correct)
     add("--rounds", type=console.whole(1, 100), default=4, metavar="N", help="of --correct, at most (default: 4)")
-    place = "of the solver: auto, cpu, cuda, cuda:N; with --engine lbm the networks stay on the CPU (default: auto)"
+    place = "of the solver: auto, cpu, cuda, cuda:N, cuda:all or a list; with --engine lbm the networks stay on the CPU (default: auto)"
     add("--device", type=console.devices, help=place)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
@@ -220,7 +220,6 @@ def settings_from(args, run=None):
 
 def _in_solver(settings, args) -> None:
     """Refuses what a training in the flow solver cannot do."""
-    from fishmj.lbm_oracle.fluid.device import several
     from fishmj.train.settings import ALGORITHMS
 
     if settings.preset != choice.LBM:
@@ -229,8 +228,6 @@ def _in_solver(settings, args) -> None:
     given = {f"--algo {settings.algo}": apart, "--together": args.together, "--ray": args.ray}
     if wrong := [option for option, value in given.items() if value]:
         raise ConfigError(f"{wrong[0]}: not in the flow solver; leave it out")
-    if several(device := settings.solver.get("device", "auto")):
-        raise ConfigError(f"--device {device}: the tanks of a training share one; take auto, cpu, cuda or cuda:N")
 
 
 def _asked_of(args) -> dict:
