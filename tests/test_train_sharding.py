@@ -29,6 +29,11 @@ def test_two_devices_take_the_gradient_of_one():
 
 
 @pytest.mark.slow
+def test_no_empty_array_is_split():
+    on_two_devices("empties")
+
+
+@pytest.mark.slow
 def test_each_device_draws_its_own_and_networks_stay_equal():
     on_two_devices("draws")
 

@@ -74,7 +74,9 @@ def options() -> console.Parser:
     correct += " again, until they agree; the same command goes on"
     p.add_argument("--correct", action="store_true", help=correct)
     add("--rounds", type=console.whole(1, 100), default=4, metavar="N", help="of --correct, at most (default: 4)")
-    place = "of the solver: auto, cpu, cuda, cuda:N, cuda:all or a list; with --engine lbm the networks stay on the CPU (default: auto)"
+    place = (
+        "of the solver: auto, cpu, cuda, cuda:N, cuda:all or a list; --engine lbm keeps its networks on the CPU (default: auto)"
+    )
     add("--device", type=console.devices, help=place)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"

@@ -5,6 +5,7 @@ the networks stay equal. On one device nothing changes, to the bit.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,6 +16,16 @@ from fishmj.base.errors import ConfigError
 
 AXIS = "fish"
 EACH, ROWS, COLUMNS = PartitionSpec(), PartitionSpec(AXIS), PartitionSpec(None, AXIS)  # whole on each; (B, ..), (T, B, ..) split
+
+
+def without_empty(like: Any, tree: Any) -> Any:
+    """Tree with None where `like` has empty arrays."""
+    return jax.tree.map(lambda a, leaf: leaf if a.size else None, like, tree)
+
+
+def with_empty(like: Any, tree: Any) -> Any:
+    """Tree with the empty arrays of `like`."""
+    return jax.tree.map(lambda a, leaf: leaf if a.size else jnp.zeros(a.shape, a.dtype), like, tree)
 
 
 class Shards:
@@ -32,8 +43,25 @@ class Shards:
         self.mesh = Mesh(there[:count], (AXIS,))
 
     def split(self, work: Callable, given: Any, returned: Any) -> Callable:
-        """`work` on every device with its share of the argument; `given` and `returned` are layouts."""
-        return jax.shard_map(work, mesh=self.mesh, in_specs=(given,), out_specs=returned, check_vma=False)
+        """`work` on every device with its share of the argument; `given` and `returned` are layouts.
+
+        Empty arrays stay outside: where XLA for GPUs removes them from a split computation, Shardy crashes (jaxlib 0.11.2).
+        """
+        split = partial(jax.shard_map, mesh=self.mesh, check_vma=False)
+
+        def on_each(tree: Any) -> Any:
+            layout = jax.tree.broadcast(given, tree)
+            share = lambda a, spec: jax.ShapeDtypeStruct(NamedSharding(self.mesh, spec).shard_shape(a.shape), a.dtype)
+            here = jax.tree.map(share, tree, layout)
+            whole = jax.eval_shape(split(work, in_specs=(layout,), out_specs=returned), tree)
+            less = split(
+                lambda few: without_empty(whole, work(with_empty(here, few))),
+                in_specs=(without_empty(tree, layout),),
+                out_specs=without_empty(whole, jax.tree.broadcast(returned, whole)),
+            )
+            return with_empty(whole, less(without_empty(tree, tree)))
+
+        return on_each
 
     def place(self, tree: Any, layout: Any) -> Any:
         """Tree, moved to the devices in this layout."""
