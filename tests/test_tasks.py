@@ -1,7 +1,7 @@
 """The tasks as pure functions: reward, observation and starts by hand; what the fish must never see; late cameras."""
 
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from inspect import signature
 from math import pi, radians
 from pathlib import Path
@@ -324,6 +324,17 @@ def test_the_table_of_the_randomisation_has_the_constants():
         f"±{get('zero_deg'):.0f} deg",
         f"{span('command_latency')}, {span('camera_latency')}",
     ]
+
+
+def test_a_fish_with_longer_latency_than_the_drawn_ones_draws_about_its_own():
+    """Else a judgement of a slow robot would be that of a fast one."""
+    drawn = {}
+    for own in (0.06, 0.15):
+        robot = replace(ROBOT, timing=replace(ROBOT.timing, command_latency=own, camera_latency=2 * own))
+        fish, camera = task.draw_fish(np, robot, np.random.default_rng(0).uniform(size=(500, task.n_fish(robot))))
+        delay = fish.delay * robot.timing.physics_dt
+        drawn[own] = [round(float(x), 2) for x in (delay.min(), delay.max())], int(camera.min()), int(camera.max())
+    assert drawn == {0.06: ([0.02, 0.12], 5, 8), 0.15: ([0.1, 0.2], 14, 17)}
 
 
 def test_the_privileged_view_has_its_groups_in_their_order():

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import shown_value
 from fishmj.engines.extensions import Extensions, bus_rows, with_effects
@@ -172,7 +171,7 @@ def rows_of(robot: Robot) -> int:
 
     Effects.
     """
-    longest = max(robot.timing.command_latency, constant("randomisation", "command_latency")[1])
+    longest = robot.timing.drawn_latency("command_latency")[1]
     return bus_rows(robot, max(BUFFER, ceil(longest / robot.timing.bus_dt - 1e-9) + 2))
 
 

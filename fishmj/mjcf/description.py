@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from math import pi, radians
 from typing import TYPE_CHECKING
 
+from fishmj.base.calib import constant
+
 if TYPE_CHECKING:
     from fishmj.effects.effect_calibration import FittedEffect
 
@@ -81,6 +83,15 @@ class Timing:
     command_latency: float = 0.06
     camera_latency: float = 0.065
     velocity_window: int = 6  # frames
+
+    def drawn_latency(self, key: str) -> tuple[float, float]:
+        """Range of `command_latency` or `camera_latency` of a randomised fish, s.
+
+        The paper's; for a description whose own latency is longer than all of these, as wide about that one.
+        """
+        (low, high), own = constant("randomisation", key), getattr(self, key)
+        half = 0.5 * (high - low)
+        return (low, high) if own <= high else (own - half, own + half)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from typing import Any
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
 from fishmj.base.plain_file import why_unreadable
+from fishmj.mjcf.description import Timing
 from fishmj.mjcf.description_schema import KeyFault, shown
 from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 
@@ -403,14 +404,12 @@ def _unlikely_outline(links: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
 
 
 def _unlikely_timing(given: Mapping[str, Any]) -> Iterator[KeyFault]:
-    """Notes on latencies longer than any of a randomised fish.
-
-    The task draws those of the paper whatever the description states.
-    """
+    """Notes on latencies longer than the paper's, about which a randomised fish draws its own."""
     for key in ("command_latency", "camera_latency"):
-        (low, high), latency = constant("randomisation", key), given.get(key)
+        high, latency = constant("randomisation", key)[1], given.get(key)
         if latency is not None and latency > high:
-            todo = f"it is played as it is; randomised fish (training, judgement) draw theirs from {low:g} to {high:g} s"
+            low, most = Timing(**{key: latency}).drawn_latency(key)
+            todo = f"randomised fish (training, judgement) draw theirs about it, from {low:g} to {most:g} s"
             yield KeyFault("timing", None, key, f"{latency:g} s", f"at most {high:g} s", todo)
 
 

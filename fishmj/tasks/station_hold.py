@@ -17,7 +17,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked_array
 from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Robot, Timing
 from fishmj.tasks.sensing import Sensors, delayed, estimate
 from fishmj.water.choice import family_in
 
@@ -83,8 +83,8 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), str
     span = lambda a, b: 2 * uniforms[:, a:b] - 1
     get = lambda key: constant("randomisation", key)
     kd = 1 + strength * get("kd") * span(n + j, n + 2 * j)
-    delay = _latency(robot.timing.command_latency, get("command_latency"), uniforms[:, m - 2], strength)
-    camera = _latency(robot.timing.camera_latency, get("camera_latency"), uniforms[:, m - 1], strength)
+    delay = _latency(robot.timing, "command_latency", uniforms[:, m - 2], strength)
+    camera = _latency(robot.timing, "camera_latency", uniforms[:, m - 1], strength)
     like = xp.zeros_like(uniforms[:, :1])
     rows = like + p.effects
     if effects and added.active is not None:
@@ -107,9 +107,10 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), str
     return fish, xp.minimum(sensors.ticks(xp, camera, rows, "pose"), most)
 
 
-def _latency(nominal, bounds, uniform, strength):
-    """Nominal at strength 0, uniform between the bounds at strength 1, s."""
-    low, high = (nominal + strength * (b - nominal) for b in bounds)
+def _latency(timing: Timing, key: str, uniform, strength: float):
+    """Nominal at strength 0, uniform in the drawn range at strength 1, s."""
+    nominal = getattr(timing, key)
+    low, high = (nominal + strength * (b - nominal) for b in timing.drawn_latency(key))
     return low + (high - low) * uniform
 
 
@@ -167,7 +168,7 @@ def history_length(robot: Robot) -> int:
 
 def camera_ticks(robot: Robot) -> int:
     """Longest camera latency of this robot in bus ticks, its own or a randomised one, without effects."""
-    longest = max(robot.timing.camera_latency, constant("randomisation", "camera_latency")[1])
+    longest = robot.timing.drawn_latency("camera_latency")[1]
     return max(LEAST_CAMERA_TICKS, ceil(longest / robot.timing.bus_dt - 1e-6))
 
 
