@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.control.policy import FORMER
-from fishmj.evaluate.metrics import difference, estimate
+from fishmj.evaluate.metrics import difference, estimate, holm, paired_p
 from fishmj.gap.bench import family_score, power
 
 HERE = Path(__file__).resolve().parent
 SOLVED, FITTED, SEARCHED = HERE / "solver" / "rows", HERE / "fitted_water" / "rows", HERE / "gap_benchmark" / "rows"
+JUDGED = HERE / "training" / "rows" / "judged"
 FILMED = {"flow observer": "dob", "vector PI": "pi", "PD": "pd", "PNL + ADRC-C1": "adrc-c1"}  # names of a page -> of the rows
 ABLATION = {
     "MuJoCo's ellipsoids, fitted, inertia added": "ellipsoid-inertia",
@@ -165,9 +166,31 @@ def strengths(label: str) -> list[float]:
 
 
 def front_page(label: str) -> list[float]:
-    """Figures of the README: `station-family` and `station` in the reference water, `station` at slip 1 [m]; right names."""
-    held = [judged(f"{name}, reference-2")[2] for name in ("station-family", "station")]
-    return [*held, judged("station, plain")[2], *second_robot("precision")[:3]]
+    """Figures of the README: `station-family` in the reference water [m], arrivals of 360, least and largest RMSE in four fits
+    and that in the structured water [m]; `station` in the reference water and at slip 1 [m]; right names.
+    """
+    tables = {file.stem: json.loads(file.read_text(encoding="utf-8"))["results"] for file in JUDGED.glob("*.json")}
+    mine = {water: row["overall"] for water, rows in tables.items() for row in rows if row["controller"] == "station-family"}
+    arrived = sum(figures["arrival"]["value"] * figures["arrival"]["n"] for figures in mine.values())
+    held = {water: figures["rmse_after_arrival"]["value"] for water, figures in mine.items()}
+    structured = held.pop("structured")
+    family = [judged("station-family, reference-2")[2], round(arrived), min(held.values()), max(held.values()), structured]
+    station = [judged(f"station, {water}")[2] for water in ("reference-2", "plain")]
+    return [*family, *station, *second_robot("precision")[:3]]
+
+
+def rivals(label: str) -> list[float]:
+    """Controllers that `station-family` beats by both keys, all, and the largest p after Holm: reference, seed 9, paired."""
+    rows = [row for row in table(SOLVED / "judged_reference.csv") if row["water"] == "reference-2" and row["seed"] == "9"]
+    trials: dict[str, dict] = {}
+    for row in rows:
+        trials.setdefault(row["controller"], {})[row["speed"], row["los_deg"]] = row
+    mine, better, p = trials.pop("station-family"), [], []
+    for key in ("rmse_after_arrival", "rmse_last20"):
+        ours, *theirs = (np.array([float(swum[one][key] or "nan") for one in mine]) for swum in (mine, *trials.values()))
+        better.append([difference(key, ours, x).low > 0 for x in theirs])
+        p += list(holm([paired_p(ours, x) for x in theirs]))
+    return [int(np.all(better, 0).sum()), len(trials), max(p)]
 
 
 def shapes(label: str) -> list[float]:
