@@ -17,8 +17,8 @@ from fishmj.gap.localise.residual_patterns import compatible, significant
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import record_of
-from fishmj.gap.report import gather, write
-from fishmj.gap.report.report_data import channels, gap_of, record_parts
+from fishmj.gap.report import gather, sections, write
+from fishmj.gap.report.report_data import RoundFinalists, channels, gap_of, record_parts
 from fishmj.gap.report.sections import CONTRACT, gates, headline, html
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
@@ -164,6 +164,14 @@ def test_finalists_are_ranked_and_their_likeness_is_a_cosine(material):
     names = [r.name for r in first.table]
     late = first.alike[0, names.index("joint_sensor_delay")]
     assert late > first.alike[0, names.index("steady_current")] if "steady_current" in names else late > 0.5
+
+
+def test_more_finalists_than_letters_have_a_table_and_a_map(material):
+    row = material.rounds[0].table[0]
+    page = sections.ranked(RoundFinalists((row,) * 60, np.ones((60, 60))), 0, 1)
+    table, picture = page.split("<svg")
+    assert ">BH<" in table and table.count("<tr") >= 60
+    assert ">P<" in picture and ">Q<" not in picture, "the first 16 are drawn"
 
 
 def test_what_the_records_cannot_show_is_said(plant):

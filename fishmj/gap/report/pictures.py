@@ -16,7 +16,7 @@ from fishmj.gap.records.records import ChannelBlock
 from fishmj.gap.report.report_data import RoundFinalists
 from fishmj.gap.wording import SCALES, level, number
 
-LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # candidates, in tables and maps
+MAPPED = 16  # finalists in a confusion map: more could not be read
 INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"
 MEASURED, BEFORE, AFTER, ACCENT = INK, VERMILION, BLUE, GREEN
 STYLE = OPEN | {
@@ -195,23 +195,29 @@ def _rates(axis, p: Localisation, changed: bool) -> None:
     axis.grid(axis="x", visible=False)
 
 
+def letter(place: int) -> str:
+    """Letters of a candidate in tables and maps: A to Z, AA, AB and so on. place: from 0."""
+    return (letter(place // 26 - 1) if place >= 26 else "") + chr(ord("A") + place % 26)
+
+
 def confusion(r: RoundFinalists) -> str:
-    """Map of the cosine between the changes of each pair of finalists."""
+    """Map of the cosine between the changes of each pair of the first `MAPPED` finalists."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    n = len(r.table)
+    n = min(len(r.table), MAPPED)
+    letters = [letter(i) for i in range(n)]
     figure, axes = canvas(1, 1, (0.72 * n + 0.3, 0.46 * n + 0.3))
     axis = axes[0, 0]
     colours = LinearSegmentedColormap.from_list("alike", ["#F7F9FB", "#F3C9A8", VERMILION, "#7A3200"])
-    size = np.abs(r.alike)
+    size = np.abs(r.alike[:n, :n])
     axis.imshow(size, cmap=colours, vmin=0, vmax=1, aspect="auto")
     for i in range(n):
         for j in range(n):
             text = f"{r.alike[i, j]:.2f}"
             axis.text(j, i, text, ha="center", va="center", fontsize=9.5, color="white" if size[i, j] > 0.6 else INK)
-    axis.set_xticks(range(n), LETTERS[:n], color=INK)
+    axis.set_xticks(range(n), letters, color=INK)
     axis.xaxis.tick_top()
-    axis.set_yticks(range(n), LETTERS[:n], color=INK)
+    axis.set_yticks(range(n), letters, color=INK)
     _tiles(axis, n, n, 9)
     return svg(figure, "Confusion map of the finalists")
 

@@ -13,7 +13,7 @@ from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
 from fishmj.gap.report import pictures
-from fishmj.gap.report.pictures import LETTERS, STYLE, traces
+from fishmj.gap.report.pictures import STYLE, letter, traces
 from fishmj.gap.report.report_data import ReportData, RoundFinalists, gap_of, record_parts
 from fishmj.gap.search.model_error import misformed
 from fishmj.gap.terms.stronger import is_outdone
@@ -146,7 +146,7 @@ def candidates(m: ReportData) -> Section:
         " that an effect wins, all seen in the evidence around the one that was tried. Behind: how much less likely than that one"
         " it makes the records, each in the evidence around itself, as a share of what that one gains; below zero, likelier."
         " Values are those of the round; what the head of the page says was fitted once more, with all that was taken."
-        " The map is the cosine between what two of them change, whitened: near 1 these records can hardly tell"
+        " The map of the first 16 is the cosine between what two of them change, whitened: near 1 these records can hardly tell"
         " them apart."
     )
     name = "What came closest" if m.inquiry.verdict.answer == "AGREES" else "What it could be"
@@ -175,8 +175,8 @@ def forces(m: ReportData) -> Section:
 def ranked(r: RoundFinalists, place: int, count: int) -> str:
     """Table of one round."""
     rows = []
-    for letter, row in zip(LETTERS, r.table, strict=False):
-        name = part("letter", letter, title(row.name)) + (part("tag", "rival") if row.rival else "")
+    for i, row in enumerate(r.table):
+        name = part("letter", letter(i), title(row.name)) + (part("tag", "rival") if row.rival else "")
         values = [f"{title(k)} {quantity(*x)}".replace(" ", "\u00a0") for k, x in row.values.items()]
         share = part("small", "on a bound: no rival") if row.p_best is None else part("bar", row.p_best)
         behind = "tried" if row.tried else "-" if row.behind is None else f"{number(100 * row.behind)} %"
