@@ -18,6 +18,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import LogError
+from fishmj.gap import progress
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.models.robot_sizes import sizes_of
@@ -66,7 +67,7 @@ def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], any
         if not anyway:
             raise LogError(f"{held}: if it was held, weld it in the model (no free joint); if it hovers that well, --anyway")
         console.warn(held)
-    found = mistakes(robot, records)
+    found = mistakes(robot, records, progress.terminal_bar)
     if found and not anyway:
         raise LogError(f"{found[0].text}. If the logs are right, go on with --anyway")
     for mistake in found:
@@ -108,7 +109,7 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
     return out
 
 
-def mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mistake]:
+def mistakes(robot: RobotDescription, records: Sequence[RobotRecord], bars: progress.Bars = progress.silent_bar) -> list[Mistake]:
     """Likely mistakes, the best first; empty where the model is close to the logs."""
     few = thinned(list(records), PROBED)
     model = RigidRobot(robot, sizes_of(robot, few), [effects.robot_catalogue()["command_latency"]])
@@ -116,10 +117,11 @@ def mistakes(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[Mi
     if np.mean(plain / still) < CLOSE:
         return []
     found = []
-    for what, remedy, changed in undone(robot, few):
-        found.append(
-            Mistake(what, remedy, _ratio(plain / still, _error(changed, model) / np.maximum(_error(changed, None), UNMOVED)))
-        )
+    with bars(sum(1 for _ in undone(robot, few)), "mistakes in the logs", "tried") as bar:
+        for i, (what, remedy, changed) in enumerate(undone(robot, few)):
+            other = _error(changed, model) / np.maximum(_error(changed, None), UNMOVED)
+            found.append(Mistake(what, remedy, _ratio(plain / still, other)))
+            bar.update(i + 1)
     rows = np.tile(model.null, (len(SHIFTS), 1))
     rows[:, model.index("command_latency", "delay")] = SHIFTS
     for shift, error in zip(SHIFTS, _errors(few, model.predict(few, rows)), strict=True):
