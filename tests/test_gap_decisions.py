@@ -12,7 +12,6 @@ from test_gap import NULL, evidence_on, hidden, plant, row_of  # noqa: E402, F40
 
 from fishmj import effects
 from fishmj.gap.decide.decide import confused, decide, masked_by, sanity
-from fishmj.gap.progress import QuietBar, silent_bar
 from fishmj.gap.records.records import record_of
 from fishmj.gap.search import model_error
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of, relinearise
@@ -161,8 +160,7 @@ def test_a_vector_of_which_no_part_differs_from_none_is_not_believed(plant):  # 
 @pytest.mark.slow
 def test_gap_usual_in_healthy_robots_agrees_unless_an_effect_closes_most(plant, monkeypatch):  # noqa: F811
     e, gates = evidence_on(plant, {"command_latency": {"delay": 0.02}}, 73), frozen()
-    with silent_bar(gates.max_effects, "search", "rounds") as bar:
-        found = forward_select(e, gates, split(e.records), lambda text: None, bar)
+    found = forward_select(e, gates, split(e.records), lambda text: None)
     wide = replace(gates, adequacy=1e9)
     assert decide(e, found, wide).answer == "NAMED"  # of a water of literature values an accepted effect goes on
     monkeypatch.setattr(Likelihood, "healthy_gain", lambda e, stage: 1e9)
@@ -191,6 +189,6 @@ def test_a_search_without_joint_logs_asks_nothing_of_a_joint_sensor(plant):  # n
     swum = hidden({}, 81, ("gait_fast", "turn_left"))
     trials = [replace(t, tables={name: t.tables[name] for name in ("cmd", "pose")}) for t in swum]
     e = likelihood_of(plant, [record_of(t, plant.dt) for t in trials], NULL)
-    found = forward_select(e, frozen(), split(e.records), lambda text: None, QuietBar())
+    found = forward_select(e, frozen(), split(e.records), lambda text: None)
     tried = {name for step in found.steps for c in step.ranked for name in c.names}
     assert tried and all(set(effects.get(name).shows) & {"position", "heading"} for name in tried)

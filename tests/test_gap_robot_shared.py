@@ -11,11 +11,10 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
-from fishmj.gap.progress import silent_bar
 from fishmj.gap.search.fit import on_records
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.search.shared_effects import apart, kinds, shared_candidates, shares
-from fishmj.gap.search.stepwise import forward_select, split
+from fishmj.gap.search.stepwise import CrossValidatedFit, SelectionStep, best_kind, forward_select, split
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
 
 pytest.importorskip("numba")
@@ -67,8 +66,7 @@ def test_friction_of_many_joints_comes_in_one_round_with_a_value_for_each(tmp_pa
     records, null = records_of(robot, tmp_path / "logs"), RobotNull(16)
     model = RigidRobot(robot, sizes_of(robot, records), [effects.robot_catalogue()[name] for name in SOME])
     said: list[str] = []
-    with silent_bar(5, "search", "rounds") as bar:
-        found = forward_select(likelihood_of(model, records, null), robot_gates(), split(records), said.append, bar)
+    found = forward_select(likelihood_of(model, records, null), robot_gates(), split(records), said.append)
     first = found.steps[0].ranked[0]
     assert first.added == 4 and said[0].startswith("coulomb friction at 4 joints: gain")
     rubs = {name for name in found.best.names if name.startswith("coulomb_friction")}
@@ -94,6 +92,29 @@ def test_single_effects_beside_a_kind_are_fitted_to_all_records(tmp_path):
     assert [c.added for c in many] == [4] and len(alone) == 4
     for c in (*many, *alone):
         assert c.z.size == e.layout.size and np.isfinite(whole.evidence(c))
+
+
+def test_a_second_search_begins_with_the_best_kind_where_an_effect_of_the_whole_robot_came_first(tmp_path):
+    (tmp_path / "legs.xml").write_text(legs(4))
+    write_legs(tmp_path / "logs", [0.06] * 4, logs=4)
+    robot = read_robot(tmp_path / "legs.xml")
+    records, gates = records_of(robot, tmp_path / "logs"), robot_gates()
+    chosen = [effects.robot_catalogue()[name] for name in ("coulomb_friction", "command_latency")]
+    model = RigidRobot(robot, sizes_of(robot, records), chosen)
+    e, folds = likelihood_of(model, records, RobotNull(16)), split(records)
+    whole = e.subset()
+    screened = whole.screen(whole.base(), model.active.effects)
+    kind, *_ = shared_candidates(whole, whole.base(), whole.base(), screened, gates)[0]
+    (late,) = [c for c in screened if c.newest == ("command_latency",)]
+    (rubs,) = [c for c in screened if c.newest == ("coulomb_friction@hip0",)]
+    nothing = CrossValidatedFit(e, whole.base(), (whole.base(),) * len(folds))
+    first = lambda *ranked, accepted=True: SelectionStep(ranked, nothing, 1e4, accepted)
+    again = best_kind(nothing, first(late, rubs, kind), gates, folds)
+    assert again.accepted and again.gain > again.asked == 4 * gates.gain
+    assert set(again.fitted.best.names) == set(kind.names) == {f"coulomb_friction@hip{j}" for j in range(4)}
+    assert [c.newest for c in again.ranked] == [kind.newest, late.newest, rubs.newest]
+    for other in (first(late, rubs), first(rubs, late, kind), first(kind, late), first(late, kind, accepted=False)):
+        assert best_kind(nothing, other, gates, folds) is None
 
 
 def test_robot_of_three_joints_is_searched_joint_by_joint(tmp_path):

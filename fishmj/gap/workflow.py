@@ -121,8 +121,7 @@ def investigate(
     if healthy:
         left, usual = level(healthy.calibration_residual), level(gates.adequacy)
         say(f"the swims that the water was calibrated to leave {left}: a gap up to {usual} is usual here")
-    with bars(gates.max_effects + 1, "search", "rounds", at_most=True) as bar:
-        found = forward_select(e, gates, split(seen, seed), say, bar)
+    found = forward_select(e, gates, split(seen, seed), say, bars)
     verdict = decide(e, found, gates)
     inquiry = Inquiry(verdict, e, found, gates, trials, records, unseen, null, swims, further, seed, say, bars, notes)
     for veto in VETOES:

@@ -10,6 +10,7 @@ accept      by the first one's gain on records predicted without their fold; a f
             both
 converge    values and covariance, in turns
 prune       effects that the others no longer need
+again       on a robot of many joints, from the best kind at them, where an effect of the whole robot came first
 
 Every record is predicted from the others: k-fold cross-validation, a fit without each fold.
 
@@ -26,8 +27,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects.ambiguity import together
+from fishmj.effects.effect import site_of
 from fishmj.gap.models.rigid_robot import RigidRobot
-from fishmj.gap.progress import Bar
+from fishmj.gap.progress import Bar, Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.drawn_effects import drawn_candidates, in_own_scatter
@@ -177,15 +179,45 @@ class Selection:
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
 
 
-def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bar: Bar) -> Selection:
-    """Adds effects while records predicted without their fold get likelier. say: each step in words. bar: of rounds."""
+def forward_select(
+    e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bars: Bars = silent_bar
+) -> Selection:
+    """Adds effects while records predicted without their fold get likelier. say: each step in words.
+
+    What all joints of a robot lack makes each of them late, and so does one delay of all. Where the first round takes an effect
+    of the whole robot, a second search begins with the best kind at many joints, and the likelier result counts.
+    """
     logged = set(e.layout.channel.tolist())
     pool = [x for x in e.model.active.effects if is_absent(e.model, x) and shows(x, logged)]
     whole = e.subset()
     base = whole.base()
-    selected = CrossValidatedFit(e, base, (base,) * len(folds))
-    steps: list[SelectionStep] = []
-    visited: set[frozenset] = set()
+    nothing = CrossValidatedFit(e, base, (base,) * len(folds))
+    rounds = lambda label: bars(gates.max_effects + 1, label, "rounds", at_most=True)
+    with rounds("search") as bar:
+        selected, steps = add_effects(e, nothing, [], gates, folds, pool, say, bar)
+    if steps and (kind := best_kind(nothing, steps[0], gates, folds)) and kind.fitted:
+        say(f"a second search begins with {kind.text()}")
+        with rounds("second search") as bar:
+            other, others = add_effects(e, take(e, kind.fitted, gates, folds), [kind], gates, folds, pool, say, bar)
+        more = max(len(other.best.names) - len(selected.best.names), 1)
+        if selected.loss(folds) - other.loss(folds) > more * gates.gain:
+            selected, steps = other, others
+    selected = exchange_limiting_forms(e, folds, selected, pool, gates, say)
+    return Selection(base, selected, folds, tuple(steps), whole.whiten.logdet)
+
+
+def add_effects(
+    e: Likelihood,
+    selected: CrossValidatedFit,
+    steps: list[SelectionStep],
+    gates: Gates,
+    folds: np.ndarray,
+    pool: list,
+    say: Callable[[str], None],
+    bar: Bar,
+) -> tuple[CrossValidatedFit, list[SelectionStep]]:
+    """Rounds from `selected`, found in `steps`: (what is found, all steps)."""
+    visited = set[frozenset]()
     # One kind at many joints counts once. A repeated set ends the search: swaps and pruning could otherwise cycle.
     counted = lambda: len(selected.best.names) - sum(s.ranked[0].added - 1 for s in steps if s.accepted)
     while counted() < gates.max_effects and frozenset(selected.best.names) not in visited:
@@ -198,12 +230,31 @@ def forward_select(e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable
         say(step.text())
         if not step.accepted or step.fitted is None:
             break
-        selected = converge(e, folds, step.fitted.best, step.fitted.fits)
-        selected = prune(e, folds, selected, gates)
+        selected = take(e, step.fitted, gates, folds)
         if counted() > 2 and selected.near.form >= thresholds().model_error.form_grid[-1]:
             break  # what three effects do not describe to within a half is not in the catalogue
-    selected = exchange_limiting_forms(e, folds, selected, pool, gates, say)
-    return Selection(base, selected, folds, tuple(steps), whole.whiten.logdet)
+    return selected, steps
+
+
+def take(e: Likelihood, fitted: CrossValidatedFit, gates: Gates, folds: np.ndarray) -> CrossValidatedFit:
+    """The effects of an accepted step, fitted to the end, without those that the others do not need."""
+    return prune(e, folds, converge(e, folds, fitted.best, fitted.fits), gates)
+
+
+def best_kind(known: CrossValidatedFit, first: SelectionStep, gates: Gates, folds: np.ndarray) -> SelectionStep | None:
+    """Round that takes the best kind at many joints, where the first one took an effect of the whole robot; else None."""
+    kind = next((c for c in first.ranked if c.added > 1), None)
+    if kind is None or not first.accepted or any(map(site_of, first.ranked[0].newest)):
+        return None
+    near, best = relinearise(known.near.origin, kind, 1)
+    fitted = CrossValidatedFit(near, best, tuple(refine(near.subset(~f), best) for f in folds))
+    (before, gap_before), (after, gap) = known.loss_and_gap(folds), fitted.loss_and_gap(folds)
+    asked = required_gain(gates, known, 0.0, True, best.added)
+    if before - after <= asked:
+        return None
+    moved = known.near.over_floor(known.near.model.null)[0], fitted.over_floor(folds)
+    ranked = (replace(best, cost=kind.cost), *(c for c in first.ranked if c is not kind))
+    return SelectionStep(ranked, fitted, before - after, True, (gap_before, gap), moved, asked)
 
 
 def propose(
