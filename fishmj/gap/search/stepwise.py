@@ -92,7 +92,13 @@ class CrossValidatedFit(NamedTuple):
 def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Candidate, ...]) -> CrossValidatedFit:
     """A candidate and its fits without each fold, in the likelihood linearised at it."""
     near, best = relinearise(e, best)
-    return CrossValidatedFit(near, best, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
+    return cross_validated(near, best, folds, fits)
+
+
+def cross_validated(near: Likelihood, best: Candidate, folds: np.ndarray, begins=None) -> CrossValidatedFit:
+    """A candidate with its fits without each fold. begins: from which those start, by default the candidate."""
+    begins = [best] * len(folds) if begins is None else begins
+    return CrossValidatedFit(near, best, tuple(refine(near.subset(~f), c) for f, c in zip(folds, begins, strict=True)))
 
 
 def parameter_uncertainty_factors(
@@ -247,7 +253,7 @@ def best_kind(known: CrossValidatedFit, first: SelectionStep, gates: Gates, fold
     if kind is None or not first.accepted or any(map(site_of, first.ranked[0].newest)):
         return None
     near, best = relinearise(known.near.origin, kind, 1)
-    fitted = CrossValidatedFit(near, best, tuple(refine(near.subset(~f), best) for f in folds))
+    fitted = cross_validated(near, best, folds)
     (before, gap_before), (after, gap) = known.loss_and_gap(folds), fitted.loss_and_gap(folds)
     asked = required_gain(gates, known, 0.0, True, best.added)
     if before - after <= asked:
@@ -299,7 +305,7 @@ def propose(
     tried: list[tuple[int, CrossValidatedFit, float, float]] = []
     for i in order[: limits.attempts]:
         near, best = finalists[i]
-        fitted = CrossValidatedFit(near, best, tuple(refine(near.subset(~f), best) for f in folds))
+        fitted = cross_validated(near, best, folds)
         after, gap = fitted.loss_and_gap(folds)
         tried.append((i, fitted, before - after, gap))
         report(0.7 + 0.3 * len(tried) / limits.attempts)
@@ -366,11 +372,8 @@ class GainOverModelError:
         """Reduction of the loss of all records by a larger set, each predicted without its fold."""
         near = self.known.near
         best = refine(near.subset(), on_records(near.subset(), fitted.best))
-        without, with_it = (
-            CrossValidatedFit(near, most, tuple(refine(near.subset(~f), c) for f, c in zip(folds, fits, strict=True)))
-            for most, fits in ((self.known.best, self.known.fits), (best, fitted.fits))
-        )
-        return without.loss(folds) - with_it.loss(folds)
+        without = cross_validated(near, self.known.best, folds, self.known.fits)
+        return without.loss(folds) - cross_validated(near, best, folds, fitted.fits).loss(folds)
 
 
 def lead_of(first: int, finalists, loss: list[float]) -> float:

@@ -28,9 +28,9 @@ from fishmj.effects.effect import Effect
 from fishmj.effects.sites import BodyMotion, Gear, SensorReadings, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search import likelihood
-from fishmj.gap.search.fit import Candidate, on_records, refine
+from fishmj.gap.search.fit import Candidate, on_records
 from fishmj.gap.search.likelihood import Likelihood, relinearise
-from fishmj.gap.search.stepwise import CrossValidatedFit, Selection, informative_records
+from fishmj.gap.search.stepwise import Selection, cross_validated, informative_records
 from fishmj.gap.terms.library import (
     ANGLE,
     BEND,
@@ -118,7 +118,7 @@ def strongest_term(model: SwimmingFish, e: Likelihood, found: Selection) -> Stro
     terms = {x.name: x for x in model.active.effects if x in library() and not any(is_own_formula(n, x) for n in named)}
     tried = (relinearise(start, c, 1) for c in best_in_sample(start, list(terms.values())))
     near, c = min(tried, key=lambda t: t[0].loss(t[1].row))
-    fitted = CrossValidatedFit(near, c, tuple(refine(near.subset(~f), c) for f in folds))
+    fitted = cross_validated(near, c, folds)
     before = sum(e.subset(f).loss(found.base.row) for f in folds)
     return StrongerTerm(terms[c.names[0]].formula, before - fitted.loss(folds), near.form)
 
