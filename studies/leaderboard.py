@@ -74,7 +74,7 @@ SOLVER = (
     SolverRows(
         "solver, `reference-2`",
         "judged_reference.csv",
-        ("station-family", "station", "pi", "dob", "koopman-rls", "mpc-flow", "privileged", "pnl", "adrc-c1"),
+        ("station-family", "station", "pi", "dob", "koopman", "koopman-flow", "koopman-rls", "mpc", "mpc-flow", "privileged", "pnl", "adrc-c1", "pd"),
         "--water lbm --reference --tanks 18 --device cuda:all",
         "tanks, reference-2, paper_refined, slip 0.99, boundary rims",
     ),
