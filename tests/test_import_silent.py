@@ -106,6 +106,7 @@ def test_counts_of_a_servo_without_their_zero_are_refused(tmp_path, bring):
     [
         ({"cmd1_norm": SWING[0]}, "cmd1_norm=cmd.c1:rad*SCALE"),
         ({"battery_voltage": np.round(74 + 0.4 * SWING[0])}, "tenths of V (V*0.1)"),
+        ({"voltage_battery": 7400 + T, "current_battery": np.round(60 + 20 * SWING[0])}, "hundredths of A (A*0.01)"),
         ({"x": 62 + T, "y": 40 + T, "yaw_deg": 45 + 0 * T}, "but the first row is at 62"),
     ],
 )

@@ -298,6 +298,8 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
         return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
     if what == "angle" and (doubt := column_units.mixed_angles({o.column: kind.values(o.column) for o in mine})):
         return "", doubt
+    if what == "current" and header.parse(g.column).words == ("current", "battery"):
+        return "", "mA, or MAVLink's hundredths of A (A*0.01)?"
     if what in column_units.BY_VALUE:
         return column_units.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
     return SI.get(what, ""), "no unit said"
