@@ -47,6 +47,7 @@ NEAR = 20.0  # deg from a quarter turn that still is one
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
 WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
 NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
+RELEASED = 0.02  # m from a pose that was held to the next one
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
@@ -232,17 +233,19 @@ def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
 def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     pose, bent = trial.tables.get("pose", {}), trial.tables.get("joint", trial.tables.get("cmd", {}))
     angles = [name for name in bent if name[0] in "jc" and name[1:].isdecimal()]
-    if not is_sound(pose, ["t", "x", "y", "yaw"]) or not angles:
+    if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return
-    t, clock = np.asarray(pose["t"], float), np.asarray(bent["t"], float)
+    t, clock = np.asarray(pose["t"], float), np.asarray(bent.get("t", ()), float)
     ends = np.append(np.flatnonzero(np.diff([pose[name] for name in ("x", "y", "yaw")]).any(0)) + 1, len(t))
     held = [(t[a], t[b - 1]) for a, b in pairwise(ends) if t[b - 1] - t[a] >= FROZEN and b - a > FEWEST]
     bend = lambda at: max((np.ptp(bent[name][at]) for name in angles if at.any()), default=0.0)
-    held = [(a, b) for a, b in held if bend((clock >= a) & (clock <= b)) > 2 * DRIVEN]
+    leaps = dict(zip(t[ends - 1], np.append(np.hypot(*(np.diff(pose[name])[ends[:-1] - 1] for name in "xy")), 0.0), strict=True))
+    held = [(a, b) for a, b in held if (bend((clock >= a) & (clock <= b)) > 2 * DRIVEN if angles else leaps[b] > RELEASED)]
     whole = sum(b - a for a, b in held)
+    doing = "the joints move" if angles else "the fish goes on"
     if held and len(ends) > 20 and whole > bounds.stale * (t[-1] - t[0]):
         text = (
-            f"pose: x, y and yaw repeat their values for {whole:.3g} s, first at t = {held[0][0]:.3f} s, while the joints move:"
+            f"pose: x, y and yaw repeat their values for {whole:.3g} s, first at t = {held[0][0]:.3f} s, while {doing}:"
             " did the tracker stop? Leave these cells blank, or split the file there"
         )
         yield USE, text
@@ -338,7 +341,7 @@ def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         )
         yield USE, text
         return
-    if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False or (turned <= TURN and not ahead):
+    if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False:
         return
     message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
     near = round(mean / 90) * 90

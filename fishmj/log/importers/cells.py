@@ -18,6 +18,7 @@ BLANKS = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "#nv", "<na
 DAY = 86_400.0  # s
 _SPACED = re.compile(r"[+-]?\d{1,3}(?P<mark>['\u2019\x92\u00a0\u2009\u202f ])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d*)?", re.ASCII)
 _MARKS = re.compile(r"['\u2019\x92\u00a0\u2009\u202f ]")
+_MINUS = re.compile(r"\A[\u2212\u2013\x96](?=[\d.,])|(?<=[eE])\u2212")  # minus sign, en dash, and that of Windows-1252
 _EXPONENT = r"(?:[eEdD][+-]?\d+)?"
 _PLAIN = {
     r"\.": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
@@ -66,7 +67,7 @@ def read(text: str) -> CellReading | None:
 
 def number(text: str) -> CellReading | None:
     """The number of a cell; None for text."""
-    text = text.replace("\u2212", "-")
+    text = _MINUS.sub("-", text)
     spaced = bool(_SPACED.fullmatch(text))
     text = _MARKS.sub("", text) if spaced else text
     (first, one), (second, two) = _value(text, r"\.", ","), _value(text, ",", r"\.")

@@ -34,6 +34,7 @@ UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to 
     **{"deg C": ("temperature", 1.0)},
     **{"N": ("force", math.nan), "mN": ("force", math.nan), "N m": ("torque", math.nan), "mN m": ("torque", math.nan)},
     **{"kg": ("mass", math.nan), "W": ("power", math.nan), "%": ("share", math.nan), "count": ("count", math.nan)},
+    **{"norm": ("share", math.nan)},  # of full deflection
 }
 _SPELLED = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "s."), "s"),
@@ -78,6 +79,7 @@ _SPELLED = {
     **dict.fromkeys(("mnm",), "mN m"),
     **dict.fromkeys(("watt", "watts"), "W"),
     **dict.fromkeys(("percent", "pct"), "%"),
+    **dict.fromkeys(("normalized", "normalised", "normed"), "norm"),
     **dict.fromkeys(("ticks", "tick", "counts", "raw"), "count"),
 }
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"mv": "mV", "ma": "mA"}
@@ -91,6 +93,8 @@ TICKS = "Say the scale here, or the scale and zero in a map"
 APART = (20.0, 170.0)  # times that two joints' largest angles differ when one is in rad, one in deg: 57.3, and 3 either way
 SHORT = 2e-4  # s; a median step below is a rate that no servo, camera or battery has
 LEAST, SLIM = 0.002, 1 / 300  # m that a swim spans on either axis at least, and its share of the other's
+STIRS = 0.1  # rad or deg that a moving joint or heading leaves its middle by
+SUPPLY = 36.0  # V; a robot's supply is below
 TURN = 0.2  # between two rows of a heading: as rad, more than a fish turns between two pictures
 FLUTTER = 30.0  # a spread beyond is cm, mm or px
 
@@ -198,8 +202,11 @@ def spread(values: Sequence[np.ndarray]) -> float:
 def length_unit(values: Sequence[np.ndarray]) -> tuple[str, str]:
     """Unit of positions (x and y together), and the reason; the offset of the first row is ignored."""
     far = spread(values)
-    message = f"spread {far:.3g}"
-    if far <= bounds_of({}, "").tank:
+    message, tank = f"spread {far:.3g}", bounds_of({}, "").tank
+    start = max((abs(float(v[np.isfinite(v)][0])) for v in values if np.isfinite(v).any()), default=0.0)
+    if far <= tank and start > tank:
+        return "", f"{message}, but the first row is at {start:.4g}: m, or cm or mm from a corner of the tank?"
+    if far <= tank:
         return "m", message
     return "", f"{message}: m or cm?" if far <= FLUTTER else f"{message}: mm, cm, px or m?"
 
@@ -210,6 +217,14 @@ def other_axis(unit: str, said: Sequence[np.ndarray], silent: Sequence[np.ndarra
     if UNITS[unit][1] < 1 and 0 < near < max(LEAST / UNITS[unit][1], far * SLIM):
         return "", f"its other axis is in {unit}, where it moves by {near:.2g} {unit} only: {unit} or m?"
     return unit, "as its other axis"
+
+
+def moves(values: np.ndarray) -> bool:
+    """Returns True for a signal: not at rest, and not the noise of a sensor, which changes by more than it spreads."""
+    values = values[np.isfinite(values)]
+    if len(values) < 3 or float(np.quantile(np.abs(values - np.median(values)), 0.9)) < STIRS:
+        return False
+    return float(np.std(np.diff(values))) < 0.7 * float(np.std(values))
 
 
 def rate_unit(values: np.ndarray) -> tuple[str, str]:
@@ -224,6 +239,10 @@ def voltage_unit(values: np.ndarray) -> tuple[str, str]:
     """Unit of a supply voltage, and the reason."""
     values = np.abs(values[np.isfinite(values)])
     middle = float(np.median(values)) if len(values) else 0.0
+    if 2 <= middle <= SUPPLY:
+        return "V", f"about {middle:.3g}"
+    if middle < 1000 and middle > SUPPLY and (values == np.round(values)).all():
+        return "", f"about {middle:.3g}: V, tenths of V (V*0.1), or counts?"
     if 2 <= middle <= 100:
         return "V", f"about {middle:.3g}"
     return ("mV", f"about {middle:.5g}") if 2000 <= middle <= 1e5 else ("", f"about {middle:.3g}: V or mV?")

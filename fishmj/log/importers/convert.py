@@ -17,7 +17,7 @@ from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
 from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import Table, Trial, table_spec
-from fishmj.log.trial_check import Implausible, Place
+from fishmj.log.trial_check import Implausible, Place, bounds_of
 
 DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3600.0  # s; clocks further apart than a day are different clocks
 AHEAD = 60.0  # s, between the last command and the first row of the swim
@@ -26,6 +26,8 @@ _PIECES = re.compile(r"(\d+)")
 FEW = 3  # times that a clock which was set goes back; rows that are mixed do so more often
 SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
+PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
+BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -44,6 +46,7 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
         taken.add(sheet.name)
         columns, place, told, absolute[table] = _table(table, sheet, entry)
         found[table] = (columns, place)
+        notes += _from_end(table, sheet, columns, entry, bounds_of(meta, name).angle)
         notes += [*(note for note in sheet.notes if note not in notes), *told]
     notes += _zero({t: found[t][0] for t, is_absolute in absolute.items() if is_absolute})
     for table, entry in wanted.tables.items():
@@ -184,6 +187,8 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     t, told = _unwrapped(table, sheet, t[rows], rows, entry.t, absolute)
     notes += told
     order, told = _rising(table, sheet, t, rows, entry.t.column)
+    if t[order].size < t.size:
+        _refuse_pairs(table, sheet, t, order, {name: out[name][rows] for name in out if name != "t"}, names["t"])
     rows = rows[order]
     notes += told
     columns = {column: values[rows] for column, values in out.items()} | {"t": t[order]}
@@ -217,6 +222,32 @@ def _still(table: str, columns: Table) -> list[str]:
     if moving or len(columns["t"]) < 3 or not table_spec(table).continuous:
         return []
     return [f"{table}: nothing moves: every column is one number in all {len(columns['t'])} rows"]
+
+
+def _from_end(table: str, sheet: Sheet, columns: Table, entry: TableMap, most: float) -> list[str]:
+    """Notes on joints that are never straight, as the counts of a servo are without their zero.
+
+    Args:
+        most: largest plausible angle of a joint [rad].
+
+    Raises LogError: the middle is further from straight than a robot's joint bends.
+    """
+    notes = []
+    for name, source in entry.columns.items():
+        if table not in ("cmd", "joint") or name[0] not in "cj" or not name[1:].isdecimal() or source.column is None:
+            continue
+        low, middle, high = (float(q) for q in np.quantile(columns[name], (0.001, 0.5, 0.999)))
+        near, far = min(abs(low), abs(high)), abs(middle)
+        if low * high <= 0 or near < NEVER or source.zero or max(-low, high) > most:
+            continue
+        text = (
+            f"column {quoted(source.column)} as {table}.{name} is {low:.3g} to {high:.3g} rad, never straight: counted from the "
+            "servo's end? Say in a map zero = the reading of the straight joint"
+        )
+        if far > BENT and most <= np.pi:
+            raise LogError(f"{sheet.place(0, source.column)}: {text}; if it is right, allow it with --plausible angle=4")
+        notes.append(f"{table}: {text}")
+    return notes
 
 
 def _switched(table: str, columns: Table) -> int:
@@ -302,6 +333,25 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
             advice = "Sort the rows by time, or name another column of time"
         raise LogError(f"{text}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
     return np.flatnonzero(~stray), [f"{table}: {text}; {int(stray.sum())} such row(s) left out"]
+
+
+def _refuse_pairs(table: str, sheet: Sheet, t: np.ndarray, order: np.ndarray, columns: Table, stamp: str) -> None:
+    """Refuses rows that share a stamp and differ by more than the kept rows do from one stamp to the next: two sources.
+
+    Raises LogError: names the file and the column.
+    """
+    again = np.flatnonzero(np.diff(t) == 0) + 1
+    if len(again) < PAIRS * len(t) or len(order) < 20:
+        return
+    for name, values in columns.items():
+        apart, step = (float(np.median(np.abs(d))) for d in (values[again] - values[again - 1], np.diff(values[order])))
+        if apart > max(3 * step, FAR):
+            raise LogError(
+                f"{sheet.where}: [tables.{table}]: {len(again)} of {len(t)} rows have the stamp of the row before "
+                f"({quoted(stamp)}) and another {name}, {apart:.2g} away in the median, while it changes by {step:.2g} between "
+                "stamps: two fish, two joints, or commands among measurements? Expected one row a stamp: keep the rows of one, "
+                "or give each its own columns"
+            )
 
 
 def _refuse_apart(name: str, tables: dict[str, Table]) -> None:

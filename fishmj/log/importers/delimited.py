@@ -18,7 +18,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import LogError
-from fishmj.log.importers import cells, joint_names, layout, motive
+from fishmj.log.importers import cells, header, joint_names, layout, motive
 from fishmj.log.importers.cells import CellReading
 from fishmj.log.importers.layout import HEAD
 from fishmj.log.importers.sheet import DATE, Sheet, checked
@@ -32,6 +32,7 @@ _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (code
 _NAMES = {"utf-8-sig": "UTF-8 with a byte order mark", "utf-16": "UTF-16", "latin-1": "Latin-1"}
 _ARROW = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}\.\d{3}) -> ?", re.ASCII)  # as the serial monitor of Arduino stamps a line
 _SEP = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # the first line that Excel reads a separator from
+_QUANTITY = re.compile(r"[^\w#/]?[\d.,]*\d[\d.,]*\W{0,2}[a-zA-Z°%]{0,5}\W?")  # (1.9), 1.9-, 3 deg, 01. Mai: no code, no error
 _COMMENTS = ("#", "%", "//")
 
 
@@ -172,6 +173,12 @@ class _Reader:
             if [text.strip() for text in fields[len(clock) :]] == self.layout.names:
                 self.again.append(number)
                 return
+            if self.lines and self._names_others(fields[len(clock) :]):
+                others = ", ".join(bare(text.strip()) for text in fields[len(clock) :][:6])
+                raise LogError(
+                    f"{self.path}:{number}:1: other names of columns in the middle of the file ({others}), expected "
+                    f"{', '.join(map(bare, self.layout.names[:6]))} to its end; split the file there"
+                ) from None
             row = [self._cell(text.strip(), name) for text, name in zip(fields, self.names, strict=True)]
             if not self.careful and any(cell.two for cell in row):
                 raise _TwoReadings from None
@@ -184,6 +191,14 @@ class _Reader:
                 names.append(sys.intern(told[column].strip()))
         if not len(self.lines) % 100_000:
             check_size(self.path, 8 * len(self.values), "as numbers is more than")
+
+    def _names_others(self, fields: list[str]) -> bool:
+        """Returns True for a row of names that are not those of the columns: most of them mean something in a log."""
+        texts = [text.strip() for text in fields]
+        if len(texts) < 2 or any(text.lower() in cells.BLANKS or cells.is_value(text) for text in texts):
+            return False
+        known = [text in self.layout.names or bool(header.role(header.parse(text), set()).places) for text in texts]
+        return 2 * sum(known) > len(texts) and len(set(texts)) == len(texts)
 
     def _cell(self, text: str, name: str) -> CellReading:
         if found := cells.read(text):
@@ -241,9 +256,15 @@ class _Reader:
                     f"{name}: column {quoted(column)}: {count} cell(s) of text, such as "
                     f"{quoted(self.text[column])}, taken for blanks"
                 )
+        doubts = {
+            column: f"{count} of {len(self.lines)} cells, such as {quoted(self.text[column])}, are no plain numbers: write "
+            "them so, or lose their rows with --set"
+            for column, count in self.counts.items()
+            if column in columns and count > BAD_ROWS * len(self.lines) and _QUANTITY.fullmatch(self.text[column])
+        }
         units = {**self.layout.units, **dict.fromkeys(self.dates, DATE)}
         units = {column: unit for column, unit in units.items() if column in columns}
-        return Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes))
+        return Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts)
 
     def _columns(self, values: array) -> Table:
         both = np.array(values, float).reshape(len(self.lines), len(self.names))

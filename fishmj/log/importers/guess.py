@@ -2,14 +2,14 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from glob import escape
-from typing import Any
 
 import numpy as np
 
 from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.importers import column_units, header
+from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.column_map import measured
 from fishmj.log.importers.column_units import SI, measures
 from fishmj.log.importers.header import Role, role
@@ -18,70 +18,10 @@ from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted
 from fishmj.log.trial import table_spec
 
-TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
 PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6)}  # places of a second column of the stamp; in a second
 _NUMBER = re.compile(r"\d+")
 COUNTED = ("rad*SCALE",)  # of a servo's ticks or pulses
 FLAT = 5.0  # times that z moves further than y where y is the height
-ROWS = 200_000  # of one file that the statistics look at
-
-
-@dataclass(frozen=True)
-class Guess:
-    """Guessed meaning of one column of one kind of file."""
-
-    kind: int
-    column: str
-    state: str = LEFT
-    places: tuple[str, ...] = ()  # "cmd.c1"; "t" for stamps; several where it is unclear which
-    unit: str = ""
-    scale: float = 1.0
-    why: str = ""
-    said: bool = False  # by the user
-    fits: tuple[str, ...] = ()  # units that its values allow, where its name says another
-
-    @property
-    def place(self) -> str:
-        """First place of the guess, such as "cmd.c1"; "" without one."""
-        return self.places[0] if self.places else ""
-
-    @property
-    def table(self) -> str:
-        """Table of the first place."""
-        return self.place.partition(".")[0]
-
-    def left(self, why: str) -> "Guess":
-        """Copy of the guess, left out."""
-        return replace(self, state=LEFT, places=(), why=why)
-
-    def unclear(self, why: str, **changes: Any) -> "Guess":
-        """Copy of the guess, left to the user."""
-        return replace(self, state=UNCLEAR, why=why, **changes)
-
-
-@dataclass(frozen=True)
-class FileKind:
-    """Files with the same columns and names of the same meaning."""
-
-    sheets: tuple[Sheet, ...]
-    pattern: str  # of their names
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns."""
-        return tuple(self.sheets[0].columns)
-
-    def called(self, name: str) -> bool:
-        """Returns True if `name` is one of its columns, or a file or topic of it."""
-        return name in self.sheets[0].columns or any(name == sheet.name for sheet in self.sheets)
-
-    def doubt(self, column: str) -> str:
-        """Reason from the file that the user must decide on a column; "" without one."""
-        return next((sheet.doubts[column] for sheet in self.sheets if column in sheet.doubts), "")
-
-    def values(self, column: str) -> np.ndarray:
-        """Values of a column (T,), all files one after the other."""
-        return np.concatenate([sheet.columns[column][:ROWS] for sheet in self.sheets[:16]])
 
 
 def context(sheet: Sheet) -> frozenset[str]:
@@ -306,7 +246,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
         else:
             family = (_family(g.place), what if what != "length" else "")
             if family not in known:
-                known[family] = _by_value(kind, guesses, g, what)
+                known[family] = _of_all_files(kind, guesses, g, what)
             unit, why = known[family]
             if what == "angle" and unit == "deg" and header.parse(g.column).words in (("c",), ("j",)):
                 unit, why = "", f"{why}; the schema's name, but no rad: degrees, or no angle at all?"
@@ -316,12 +256,26 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             state = UNCLEAR if not unit else g.state
             fits = ("deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}", fits=fits))
-    return out
+    return [g.unclear(kind.doubt(g.column)) if g.state == TAKEN and not g.said and kind.doubt(g.column) else g for g in out]
 
 
 def _sensor(g: Guess, what: str) -> str:
     """Key shared by columns whose names state one unit: x and y of one table, joints of one kind; a stamp has its own."""
     return g.column if what == "time" else g.table if what == "length" else _family(g.place)
+
+
+def _of_all_files(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
+    """Unit by the values, and the reason; no unit if a file of the kind reads as another unit than all together."""
+    unit, why = _by_value(kind, guesses, g, what)
+    for sheet in kind.sheets[:16] if unit and len(kind.sheets) > 1 else ():
+        alone, told = _by_value(replace(kind, sheets=(sheet,)), guesses, g, what)
+        if alone in ("", unit):
+            continue
+        mine = [sheet.columns[o.column] for o in guesses if o.state != LEFT and _family(o.place) == _family(g.place)]
+        if what not in ("angle", "rate") or any(map(column_units.moves, mine)):
+            why = f"{bare(sheet.name)} alone reads as {alone} ({told}), the files together as {unit} ({why})"
+            return "", f"{why}: import it by itself, or say one unit for all"
+    return unit, why
 
 
 def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tuple[str, str]:
@@ -344,6 +298,8 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
         return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
     if what == "angle" and (doubt := column_units.mixed_angles({o.column: kind.values(o.column) for o in mine})):
         return "", doubt
+    if what == "current" and header.parse(g.column).words == ("current", "battery"):
+        return "", "mA, or MAVLink's hundredths of A (A*0.01)?"
     if what in column_units.BY_VALUE:
         return column_units.BY_VALUE[what](np.concatenate([kind.values(o.column) for o in mine or [g]]))
     return SI.get(what, ""), "no unit said"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from fishmj.base import console
 from fishmj.base.errors import LogError
+from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
-from fishmj.log.importers.guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import bare
 

@@ -145,7 +145,9 @@ def _exact(name: Header, context: set[str]) -> Role | None:
 def _force(name: Header, context: set[str]) -> Role | None:
     if name.has(FORCE) or measures(name.unit) in ("force", "torque") or (context & FORCE and not name.has(TIME)):
         return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
-    known = name.has(SERVO | JOINT) or (name.unit in ("count", "%") and name.has(COMMAND | MEASURED) and name.number is not None)
+    known = name.has(SERVO | JOINT) or (
+        name.unit in ("count", "%", "norm") and name.has(COMMAND | MEASURED) and name.number is not None
+    )
     if measures(name.unit) in ("mass", "power", "share", "count") and not known:
         return Role(why=f"{name.unit}: the schema has no such column")
     if name.has(NOWHERE):

@@ -1,0 +1,129 @@
+"""`fishmj log import`: files of two meanings are asked or refused, never read as one of them in silence."""
+
+import lab_files
+import numpy as np
+import pytest
+from lab_files import N, near, only
+
+from fishmj import log
+from fishmj.log import physical_checks
+
+T = 0.02 * N
+SWING = [0.5 * np.sin(6 * T - k) for k in range(3)]  # rad
+
+
+@pytest.fixture
+def bring(tmp_path, capsys, monkeypatch):
+    """Run `log import`: (exit code, stdout, stderr); the data set is tmp_path/set."""
+    return lab_files.importer(tmp_path, capsys, monkeypatch)
+
+
+def servos(scale=1.0, zero=0.0, unit=""):
+    return {f"servo{k + 1}{unit}": zero + scale * q for k, q in enumerate(SWING)}
+
+
+@pytest.mark.parametrize(
+    ("column", "monday", "tuesday", "told"),
+    [
+        ("servo1", np.degrees(SWING[0]), SWING[0], "tue.csv alone reads as rad"),
+        ("voltage", 7.4 + 0 * T, 7400 + T, "mon.csv alone reads as V"),
+        ("heading", 100 + np.degrees(SWING[0]), 1 + SWING[0], "tue.csv alone reads as rad"),
+    ],
+)
+def test_one_file_of_several_in_another_unit_is_asked(tmp_path, bring, column, monday, tuesday, told):
+    place = {"x": 0.1 * T, "y": 0.0 * T} if column == "heading" else {}
+    for name, values in (("mon", monday), ("tue", tuesday)):
+        lab_files.write(tmp_path / "in" / f"{name}.csv", {"time": T, **place, column: values})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 2 and told in err and f"--set {column}=" in err
+
+
+def test_time_in_ms_in_one_file_and_in_s_in_another_is_asked(tmp_path, bring):
+    for name, scale in (("mon", 1.0), ("tue", 1e3)):
+        lab_files.write(tmp_path / "in" / f"{name}.csv", {"time": scale * T, **servos(unit="_rad")})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 2 and "tue.csv alone reads as ms" in err
+
+
+def test_a_file_in_which_the_joint_rests_does_not_raise_the_question(tmp_path, bring):
+    noise = 0.3 * np.random.default_rng(1).standard_normal(len(N))  # deg
+    for name, values in (("mon", np.degrees(SWING[0])), ("tue", noise)):
+        lab_files.write(tmp_path / "in" / f"{name}.csv", {"time": T, "meas1": values})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 0, err
+    near(log.read_trial(tmp_path / "set" / "tue").tables["joint"]["j1"], np.radians(noise), 1e-5)
+
+
+@pytest.mark.parametrize("names", ["time_s,servo3_deg,servo2_deg,servo1_deg", "t,x,y,yaw"])
+def test_other_names_in_the_middle_of_a_file_are_refused(tmp_path, bring, names):
+    path = lab_files.write(tmp_path / "log.csv", {"time_s": T, **servos(20, unit="_deg")})
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:51], names, *lines[51:]]) + "\n")
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and f"{path}:52:1: other names of columns in the middle" in err
+
+
+def test_two_fish_with_the_same_stamps_are_refused_and_repeated_rows_are_not(tmp_path, bring):
+    twice = np.repeat(T, 2)
+    fish = np.ravel([0.1 * T, 2 - 0.1 * T], "F")
+    columns = {"time_s": twice, "fish": np.tile([1.0, 2.0], len(N)), "x_m": fish, "y_m": 0 * fish, "yaw_deg": 0 * fish}
+    code, _, err = bring(lab_files.write(tmp_path / "log.csv", columns), "--yes")
+    assert code == 2 and "100 of 200 rows have the stamp of the row before" in err
+    columns["x_m"] = 0.05 * 0.02 * np.arange(2 * len(N))  # one fish, stamps coarser than the rate
+    assert bring(lab_files.write(tmp_path / "coarse.csv", columns), "--yes")[0] == 0
+
+
+@pytest.mark.parametrize("style", ["({})", "{}-", "{} deg"])
+def test_numbers_in_a_notation_that_is_not_read_are_asked_and_not_dropped(tmp_path, bring, style):
+    rows = [
+        f"{t:.2f},{abs(v):.3f}" if v >= 0 else f"{t:.2f},{style.format(f'{-v:.3f}')}"
+        for t, v in zip(T, 20 * SWING[1], strict=True)
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time_s,servo1_deg", *rows]) + "\n")
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and "are no plain numbers" in err and "--set servo1_deg=cmd.c1:deg" in err
+
+
+@pytest.mark.parametrize(("dash", "encoding"), [("\u2013", "utf-8"), ("\u2013", "cp1252")])
+def test_an_en_dash_is_a_minus(tmp_path, bring, dash, encoding):
+    rows = [f"{t:.2f},{20 * v:.3f}".replace("-", dash) for t, v in zip(T, SWING[1], strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_bytes(("\n".join(["time_s,servo1_deg", *rows]) + "\n").encode(encoding))
+    assert bring(path, "--yes")[0] == 0
+    near(only(tmp_path / "set").tables["cmd"]["c1"], np.radians(20 * SWING[1]), 1e-4)
+
+
+def test_counts_of_a_servo_without_their_zero_are_refused(tmp_path, bring):
+    path = lab_files.write(tmp_path / "log.csv", {"time_s": T, "servo1": np.round(500 + 200 * SWING[0])})
+    code, _, err = bring(path, "--yes", "--set", "servo1=cmd.c1:deg*0.24")
+    assert code == 2 and "never straight" in err and "zero = the reading of the straight joint" in err
+    assert bring(path, "--yes", "--set", "servo1=cmd.c1:deg*0.24", "--plausible", "angle=4")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        ({"cmd1_norm": SWING[0]}, "cmd1_norm=cmd.c1:rad*SCALE"),
+        ({"battery_voltage": np.round(74 + 0.4 * SWING[0])}, "tenths of V (V*0.1)"),
+        ({"voltage_battery": 7400 + T, "current_battery": np.round(60 + 20 * SWING[0])}, "hundredths of A (A*0.01)"),
+        ({"x": 62 + T, "y": 40 + T, "yaw_deg": 45 + 0 * T}, "but the first row is at 62"),
+    ],
+)
+def test_values_that_a_robot_has_in_two_units_are_asked(tmp_path, bring, columns, told):
+    code, _, err = bring(lab_files.write(tmp_path / "log.csv", {"time_s": T, **columns}), "--yes")
+    assert code == 2 and told in err
+
+
+def pose(held=False, turned=0.0):
+    t = 0.02 * np.arange(400)
+    x = 0.2 * t + 0.002 * np.sin(9 * t)
+    if held:
+        x[100:160] = x[100]
+    return log.Trial({}, {"pose": {"t": t, "x": x, "y": 0 * t, "yaw": turned + (0.1 * np.sin(6 * t) if not held else 0 * t)}})
+
+
+def test_a_tracker_that_stops_or_turns_the_fish_round_is_noted_without_joints():
+    assert any("repeat their values" in f.text for f in physical_checks.examine(pose(held=True)))
+    assert any("off its heading" in f.text for f in physical_checks.examine(pose(turned=np.pi)))
+    assert not list(physical_checks.examine(pose()))
