@@ -152,6 +152,8 @@ def test_fault_06_steps_that_do_not_nest_name_both_numbers_and_the_nearest():
         ConfigError, match=r"bus_dt: got 0.02 s, expected a multiple of physics_dt = 0.003 s; nearest valid bus_dt: 0.021 s"
     ):
         Sim(replace(robot, timing=replace(robot.timing, physics_dt=0.003)))
+    with pytest.raises(ConfigError, match="nearest valid bus_dt: 0.024 s; bus_dt = 0.025 s goes with physics_dt = 0.005 s"):
+        check_timing(Timing(bus_dt=0.025), "a bus of 40 Hz")
 
 
 @pytest.mark.parametrize(

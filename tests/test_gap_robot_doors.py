@@ -310,7 +310,14 @@ def test_readings_beyond_the_range_and_other_wraps_are_doubted(folder, described
         folder / "limited.xml",
         edited(elbow_joint='range="2 3" limited="true"').replace("<option", "<compiler angle='radian'/><option"),
     )
-    assert "beyond its range, 2 to 3" in doubts(read_robot(limited), records)[0]
+    doubt = doubts(read_robot(limited), records)[0]
+    assert "beyond its range, 2 to 3" in doubt and "degrees" not in doubt
+    in_rad = written(folder / "in_rad.xml", edited(elbow_joint='range="-2 2" limited="true"'))  # read as degrees
+    doubt = doubts(read_robot(in_rad), records)[0]
+    assert (
+        "-0.0349 to 0.0349" in doubt
+        and 'the model states -2 to 2 in rad: MJCF takes degrees without <compiler angle="radian"/>' in doubt
+    )
     values = records[0].joint.values.copy()
     values[20:, 1] += 5.2
     wrapped = records[0]._replace(joint=records[0].joint._replace(values=values))

@@ -45,6 +45,7 @@ def test_options_make_a_description_that_reads_back_and_swims(capsys, tmp_path):
     assert "fishmj train --preset quick --robot pike.toml" in out
     text = (tmp_path / "pike.toml").read_text()
     assert "height 0.11 m: given on the command line" in text and "mass_total = 1.6 " in text
+    assert "m from the nose: typical for this number of links, not measured" in text  # --links 5 says no place
 
 
 def test_fish_that_options_describe_weigh_what_they_displace_and_lie_level():
@@ -69,6 +70,14 @@ def test_answers_are_asked_until_they_are_valid(monkeypatch, capsys):
     assert "expected 0.05 to 5 m" in asked[2] and "unknown servo 'nothing'" in asked[10]
     text = open("pike.toml").read()
     assert "length 0.6 m: asked" in text and "width 0.0726 m: default, not measured" in text
+    assert "joints 0.24, 0.3, 0.4 m from the nose: asked" in text
+
+
+def test_a_mass_that_the_hull_cannot_float_names_the_sizes_to_measure(capsys):
+    assert new("tuna", "--length=35cm", "--mass=900g", "--links=3", "--yes") == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "--mass: got '900g'" in said and "0.35 x 0.063 x 0.0416 m (length, height, width)" in said
+    assert "measure the sizes that you did not give" in said
 
 
 def at_a_terminal(monkeypatch, answer):

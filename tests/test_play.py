@@ -98,6 +98,17 @@ def test_wasd_moves_the_target_but_not_out_of_the_tank(pond):
     assert pond.target == pytest.approx([1.5, 0.1])
 
 
+def test_other_controllers_are_made_when_c_asks_for_them(pond, monkeypatch):
+    tried = []
+    monkeypatch.setattr(pond, "can_steer", lambda name: tried.append(name) or name in ("pi", "drift"))
+    swim(pond, Screen(), Script(), 0.2, lambda text: None)
+    assert tried == []
+    seen, press_c = [], Script(["c"], ["c"], ["c"])
+    monkeypatch.setattr(pond, "step", lambda step=pond.step: seen.append(pond.controller.name) or step())
+    swim(pond, Screen(), press_c, 0.8, lambda text: None)
+    assert set(seen[:2]) == {"pi", "drift"} and seen[2] == "dob" and tried
+
+
 def test_a_passive_fish_drifts_with_the_current_that_the_keys_make(body):
     pond = LiveSession("drift", flow=Flow(speed=0.0), engine=body)
     start = pond.q

@@ -221,8 +221,13 @@ def _of_a_data_sheet(s: Mapping[str, float]) -> str:
     return f"{heavy}, {slow}: are these their units? or " if possible and fits(torque, speed) else ""
 
 
+def _part(step: float, n: int) -> float:
+    """A round whole part of a step [s], about its n-th."""
+    return min((step / k for k in range(max(1, n - 2), n + 3)), key=lambda part: (len(f"{part:g}"), abs(part - step / n)))
+
+
 def timing(given: Mapping[str, Any]) -> Iterator[KeyFault]:
-    """Errors of steps that do not nest (physics into bus into control), with the nearest valid value."""
+    """Errors of steps that do not nest (physics into bus into control), with the nearest valid value of either step."""
     from fishmj.mjcf.description import COMMAND_PATHS, Timing
 
     t = vars(Timing()) | dict(given)
@@ -234,8 +239,9 @@ def timing(given: Mapping[str, Any]) -> Iterator[KeyFault]:
         n = max(1, round(b / a))
         if abs(b / a - n) > 1e-6:
             yield KeyFault(
-                "timing", None, large, f"{b} s", f"a multiple of {small} = {a} s", f"nearest valid {large}: {n * a:g} s"
-            )
+                "timing", None, large, f"{b} s", f"a multiple of {small} = {a} s",
+                f"nearest valid {large}: {n * a:g} s; {large} = {b:g} s goes with {small} = {_part(b, n):g} s",
+            )  # fmt: skip
     if t["command_path"] not in COMMAND_PATHS:
         path = shown(t["command_path"])
         yield KeyFault("timing", None, "command_path", path, f"one of {', '.join(COMMAND_PATHS)}", "choose one of these")

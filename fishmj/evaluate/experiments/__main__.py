@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     setup = setup_of(args)
     if not args.names:
-        console.say(console.table(listed(setup)), "", "add names or all; --quick for a preview")
+        console.say(console.table(listed(setup)), "", "add names or all; --quick for a preview; compiling adds some 15 s of CPU")
         if args.json:
             console.emit_json({"experiments": listed(setup)})
         return console.OK

@@ -95,6 +95,9 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
             if beyond > OUTSIDE:
                 message = f"{100 * beyond:.0f} % of its readings are beyond its range, {low:.3g} to {high:.3g}"
                 out.append(f"joint {joint.name}: {message}: another zero, unit or joint? State it in a map, --columns MAP.toml")
+                if m.jnt_type[joint.joint] == mujoco.mjtJoint.mjJNT_HINGE and np.degrees(max(abs(low), abs(high))) <= 2 * np.pi:
+                    stated = f"{np.degrees(low):.3g} to {np.degrees(high):.3g}"
+                    out[-1] += f'; or the model states {stated} in rad: MJCF takes degrees without <compiler angle="radian"/>'
         if np.ptp(q) == 0 and joint.actuator >= 0 and any(np.ptp(r.commands[:, joint.actuator]) > 0 for r in records):
             out.append(
                 f"joint {joint.name}: always {q[0]:.6g} while its commands change: is its encoder read, or is the joint held?"

@@ -161,7 +161,7 @@ def next_steps(path: Path, name: str) -> list[str]:
         "next",
         f"  fishmj play --robot {path} --controller drift                                     look at it",
         f"  fishmj train --preset quick --robot {path} --out runs/{name}",
-        f"  fishmj evaluate runs/{name}/best.safetensors --robot {path} --repeats 1",
+        f"  fishmj evaluate runs/{name} --robot {path} --repeats 1",
     ]
 
 

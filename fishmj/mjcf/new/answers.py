@@ -19,6 +19,7 @@ from fishmj.mjcf.servos import SHELF, DataSheet
 LENGTH = (0.05, 5.0)  # m
 HEIGHT, WIDTH, TAIL = (0.03, 0.6), (0.02, 0.6), (0.02, 0.8)  # over the length
 TALL, WIDE, FIN = 0.18, 0.66, 1.25  # by default: height over length, width over height, tail fin over height
+COUNT = re.compile(r"\s*[0-9]{1,3}\s*")  # a number of links in place of the joints' stations
 FLOATS = (0.5, 2.0)  # mass over what the hull displaces; further off it is another fish
 
 
@@ -61,7 +62,7 @@ class Question:
 def links(text: str, known: Known) -> list[float]:
     """Stations of the joints from the nose, m, from `5` (links) or `0.2,0.3,0.4`."""
     length = known["length"]
-    if "," not in text and re.fullmatch(r"\s*[0-9]{1,3}\s*", text):
+    if COUNT.fullmatch(text):
         n = int(text)
         if not LINKS[0] <= n <= LINKS[1]:
             raise argparse.ArgumentTypeError(f"got {text.strip()!r}, expected {LINKS[0]} to {LINKS[1]} links")
@@ -155,6 +156,17 @@ def _mass_range(known: Known) -> tuple[float, float]:
     return FLOATS[0] * floats, FLOATS[1] * floats
 
 
+def _mass(text: str, known: Known) -> float:
+    low, high = _mass_range(known)
+    try:
+        return quantity("mass", low, high)(text)
+    except argparse.ArgumentTypeError as error:
+        hull_of = hull(known)
+        size = " x ".join(f"{x:.3g}" for x in (hull_of.length, *hull_of.body))
+        why = f"half to twice what a hull of {size} m (length, height, width) displaces, {hull_of.displaced:.3g} kg"
+        raise argparse.ArgumentTypeError(f"{error}: {why}; measure the sizes that you did not give") from error
+
+
 (_height, _heights), (_width, _widths), (_tail, _tails) = _size(*HEIGHT), _size(*WIDTH), _size(*TAIL)
 _fixed = lambda text: lambda _known: text
 NAME = Question("name", "NAME", "Name of the fish", _name, _fixed("my_fish"), _fixed("letters, digits, _ . -"))
@@ -178,7 +190,7 @@ QUESTIONS = (
     ),
     Question(
         "mass", "--mass", "Mass as it swims, flooded parts included (default: what this hull displaces)",
-        lambda text, known: quantity("mass", *_mass_range(known))(text),
+        _mass,
         lambda known: f"{hull(known).displaced:.3g}", lambda known: "{:.3g} to {:.3g} kg".format(*_mass_range(known)),
     ),
     Question(
@@ -195,7 +207,7 @@ QUESTIONS = (
 def gather(
     known: Known, given: dict[str, str], ask: Callable[[str], str] | None, *, defaults: bool
 ) -> tuple[Known, dict[str, str]]:
-    """All answers, and the origin of each: "given", "asked" or "default".
+    """All answers, and the origin of each: "given", "asked", "default", or "placed" for joints of which only the number is known.
 
     Args:
         known: answers from a table or a photo: outline, length, head.
@@ -215,11 +227,16 @@ def gather(
         )
     for number, question in enumerate(wanted, 1):
         if question.key in given:
-            known[question.key], origin[question.key] = _read(question, given[question.key], known), "given"
+            typed, how = given[question.key], "given"
+            known[question.key] = _read(question, typed, known)
         elif defaults or ask is None:
-            known[question.key], origin[question.key] = _read(question, question.default(known), known), "default"
+            typed, how = question.default(known), "default"
+            known[question.key] = _read(question, typed, known)
         else:
-            known[question.key], origin[question.key] = _asked(question, known, ask, f"{number}/{len(wanted)} ")
+            known[question.key], typed = _asked(question, known, ask, f"{number}/{len(wanted)} ")
+            how = "asked" if typed else "default"
+        counted = question.key == "joints" and how != "default" and COUNT.fullmatch(typed)
+        origin[question.key] = "placed" if counted else how
     return known, origin
 
 
@@ -231,7 +248,7 @@ def _read(question: Question, text: str, known: Known) -> Any:
 
 
 def _asked(question: Question, known: Known, ask: Callable[[str], str], number: str) -> tuple[Any, str]:
-    """Asks until the answer is valid; an empty line takes the default."""
+    """Asks until the answer is valid; an empty line takes the default. Returns the answer and the line."""
     default, prefix = question.default(known), ""
     while True:
         try:
@@ -239,6 +256,6 @@ def _asked(question: Question, known: Known, ask: Callable[[str], str], number: 
         except EOFError as error:
             raise UsageError("new: the input ended before all questions were answered; nothing was written") from error
         try:
-            return question.parse(text.strip() or default, known), "asked" if text.strip() else "default"
+            return question.parse(text.strip() or default, known), text.strip()
         except (argparse.ArgumentTypeError, FishmjError) as error:
             prefix = f"  {error}\n"

@@ -30,7 +30,7 @@ class FishAnswers:
     joints: list[float]  # m from the nose
     sheet: DataSheet
     side_span: float  # m, 0 for no side fins
-    origin: dict[str, str]  # question -> given, asked, default
+    origin: dict[str, str]  # question -> given, asked, default, placed
 
 
 def robot_of(fish: FishAnswers) -> Robot:
@@ -73,6 +73,7 @@ def side_fins(fish: FishAnswers, links: tuple[Link, ...]) -> tuple[Fin, ...]:
 def toml_of(robot: Robot, fish: FishAnswers) -> str:
     """The description as TOML with comments; `load_robot` reads back the same robot."""
     words = {"given": "given on the command line", "asked": "asked", "default": "default, not measured"}
+    words |= {"placed": "typical for this number of links, not measured"}
     said = {key: words[value] for key, value in fish.origin.items()}
     source = fish.outline.source
     high, wide = fish.outline.body

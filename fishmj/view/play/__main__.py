@@ -7,8 +7,7 @@ The fish meets the same noise, latencies and water as in the tasks; it does not 
 
 import sys
 import time
-from collections.abc import Callable
-from itertools import cycle
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -42,13 +41,18 @@ EXAMPLES = f"""examples:
 {KEYS}"""
 
 
+def others(session: LiveSession) -> Iterator[control.Controller | str]:
+    """Yields the controllers that can steer the fish, again and again; tries each when it is asked for, since some take long."""
+    first = session.controller
+    names = [name for name in (*control.shipped_policies(), *control.NAMES) if name != first.name]
+    while True:
+        yield from filter(session.can_steer, names)
+        yield first
+
+
 def swim(session: LiveSession, view, keys: Keyboard, seconds: float | None, status: Callable[[str], None]) -> None:
     """Runs the live loop: in real time, or as fast as possible for `seconds` of simulated time."""
-    names = (*control.shipped_policies(), *control.NAMES)
-    listed: list[control.Controller | str] = [session.controller]
-    listed += [name for name in names if name != session.controller.name and session.can_steer(name)]
-    choices = cycle(listed)
-    next(choices)
+    choices = others(session)
     tick = session.robot.timing.bus_dt
     stride = max(1, round(FRAME / tick))
     paused, due = False, time.monotonic()
