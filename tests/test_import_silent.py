@@ -127,3 +127,25 @@ def test_a_tracker_that_stops_or_turns_the_fish_round_is_noted_without_joints():
     assert any("repeat their values" in f.text for f in physical_checks.examine(pose(held=True)))
     assert any("off its heading" in f.text for f in physical_checks.examine(pose(turned=np.pi)))
     assert not list(physical_checks.examine(pose()))
+
+
+@pytest.mark.parametrize("rate", [10, 30])
+def test_of_a_camera_slower_than_its_log_each_value_is_read_once(tmp_path, bring, rate):
+    t = 0.02 * np.arange(500)
+    swim = lambda t: {"x_m": 0.1 * t, "y_m": 0.05 * np.cos(2 * t), "yaw_deg": 20 * np.sin(4 * t)}
+    lab_files.write(tmp_path / "in" / "swim.csv", {"time_s": t, **swim(np.floor(t * rate + 1e-9) / rate)})
+    code, out, err = bring(tmp_path / "in", "--yes")
+    assert code == 0 and f"{rate} Hz written at 50 Hz" in out + err
+    pose = only(tmp_path / "set").tables["pose"]
+    assert len(pose["t"]) == 10 * rate
+    late = np.radians(80) * 0.02  # a row of the log, at the fastest turn
+    near(pose["yaw"], np.radians(swim(pose["t"])["yaw_deg"]), late)
+
+
+def test_coarse_numbers_of_a_slow_fish_keep_every_row(tmp_path, bring):
+    t = 0.02 * np.arange(500)
+    slow = {"x_m": np.round(0.02 * t, 3), "y_m": np.round(0.03 * np.sin(t), 3), "yaw_deg": np.round(3 * np.sin(0.7 * t))}
+    lab_files.write(tmp_path / "in" / "swim.csv", {"time_s": t, **slow})
+    code, out, err = bring(tmp_path / "in", "--yes")
+    assert code == 0 and "written at" not in out + err
+    assert len(only(tmp_path / "set").tables["pose"]["t"]) == len(t)

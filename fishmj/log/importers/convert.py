@@ -28,6 +28,7 @@ SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
 SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
+REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -192,6 +193,9 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     rows = rows[order]
     notes += told
     columns = {column: values[rows] for column, values in out.items()} | {"t": t[order]}
+    fresh, told = _fresh(table, columns)
+    rows, columns = rows[fresh], {column: values[fresh] for column, values in columns.items()}
+    notes += told
     notes += _across_the_seam(table, columns)
     notes += _still(table, columns)
     if doubt := _switched(table, columns):
@@ -214,6 +218,30 @@ def _across_the_seam(table: str, columns: Table) -> list[str]:
             columns[name] = whole - 2 * np.pi * np.round(np.median(whole) / (2 * np.pi))
             notes.append(f"{table}: {name} passes the seam of a turn {int(wraps.sum())} times; unwrapped")
     return notes
+
+
+def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
+    """Rows in which a sensor that is slower than its log has a new value, with a note; all rows of any other table.
+
+    A camera's 10 poses a second, written into 50 rows, are each up to 0.1 s old. Values that stand for about the same number of
+    rows tell such a log from a robot at rest and from coarse numbers. In a rest, rows are kept at the sensor's rate.
+    """
+    every = np.arange(len(columns["t"]))
+    if table == "cmd" or not table_spec(table).continuous:
+        return every, []
+    new = np.append(True, np.any([np.diff(values) != 0 for column, values in columns.items() if column != "t"], axis=0))
+    starts = np.flatnonzero(new)
+    length = np.diff(starts)[1:]  # the first value may have begun before the log
+    if len(length) < REPEATS or len(starts) > (1 - SLOWER) * len(every):
+        return every, []
+    mean = float(length[length <= 2 * np.median(length)].mean())
+    if np.mean(np.abs(length - mean) <= SPREAD) < ALIKE:
+        return every, []
+    since = every - starts[np.cumsum(new) - 1]
+    fresh = np.flatnonzero(since % max(2, round(mean)) == 0)
+    period = float(np.median(np.diff(columns["t"])))
+    text = f"{table}: each value stands in {mean:.3g} rows: {1 / (mean * period):.3g} Hz written at {1 / period:.3g} Hz"
+    return fresh, [f"{text}; its first row is kept, {len(fresh)} of {len(every)}"]
 
 
 def _still(table: str, columns: Table) -> list[str]:
