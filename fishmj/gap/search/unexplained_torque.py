@@ -55,23 +55,27 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
     e = Likelihood(model.with_errors(limits.start * model.torque_tolerance, model.null), records, runs)
     before = torques(e, model.null)
     few = informative_records(e.subset().base(), e.layout, model.screened_records)
-    most = 1 + limits.starts + limits.kept + 1
-    with bars(most, "torques that no effect explains", "fits", at_most=True) as bar:
+    most = (1 + limits.starts) * limits.first_fits + (2 * limits.kept + 1) * limits.fits
+    with bars(most, "torques that no effect explains", "rounds of fits", at_most=True) as bar:
+        done = 0
+
+        def all_fitted(starts: Sequence[TorqueFit], fits: int, chord: bool = True) -> list[TorqueFit]:
+            nonlocal done
+            found = []
+            for fit in starts:
+                found.append(descend(fit, fits, limits.steps, chord))
+                done += fits
+                bar.update(done)
+            return sorted(found, key=lambda fit: fit.loss)
+
         # The fit of all effects has several minima, and the noise of the search is what the best of them leaves.
-        starts = [model.null, *_best_single(e.subset(few), model.null, model.active.effects)]
-        found: list[TorqueFit] = []
-        for row in starts:
-            found.append(descend(TorqueFit(np.inf, e, row), limits.first_fits, limits.steps))
-            bar.update(len(found))
-        kept = sorted(found, key=lambda fit: fit.loss)[: limits.kept]
-        found = [descend(fit, limits.fits, limits.steps) for fit in kept]
-        best = descend(min(found, key=lambda fit: fit.loss), limits.fits, limits.steps, chord=False)
+        rows = [model.null, *_best_single(e.subset(few), model.null, model.active.effects)]
+        found = all_fitted([TorqueFit(np.inf, e, row) for row in rows], limits.first_fits)[: limits.kept]
+        (best,) = all_fitted(all_fitted(found, limits.fits)[:1], limits.fits, chord=False)
         least = torques(best.near, best.row)
         if np.any(least > limits.left * model.torque_tolerance):
-            found = [descend(fit, limits.fits, limits.steps) for fit in _unusual(e, few, best)]
-            best = min([best, *found], key=lambda fit: fit.loss)
+            best = min([best, *all_fitted(_unusual(e, few, best), limits.fits)], key=lambda fit: fit.loss)
             least = torques(best.near, best.row)
-        bar.update(most)
     return best.near.model, UnexplainedTorque(before, least)
 
 
