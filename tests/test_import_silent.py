@@ -142,9 +142,13 @@ def test_of_a_camera_slower_than_its_log_each_value_is_read_once(tmp_path, bring
     near(pose["yaw"], np.radians(swim(pose["t"])["yaw_deg"]), late)
 
 
-def test_coarse_numbers_of_a_slow_fish_keep_every_row(tmp_path, bring):
+@pytest.mark.parametrize("rests", [False, True])
+def test_coarse_numbers_of_a_slow_fish_and_rests_keep_every_row(tmp_path, bring, rests):
     t = 0.02 * np.arange(500)
     slow = {"x_m": np.round(0.02 * t, 3), "y_m": np.round(0.03 * np.sin(t), 3), "yaw_deg": np.round(3 * np.sin(0.7 * t))}
+    if rests:  # half of each two seconds
+        swum = np.minimum(t % 2, 1) + t // 2
+        slow = {"x_m": 0.02 * swum, "y_m": 0.03 * np.sin(swum), "yaw_deg": 9 * np.sin(7 * swum)}
     lab_files.write(tmp_path / "in" / "swim.csv", {"time_s": t, **slow})
     code, out, err = bring(tmp_path / "in", "--yes")
     assert code == 0 and "written at" not in out + err

@@ -235,7 +235,7 @@ def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
     if len(length) < REPEATS or len(starts) > (1 - SLOWER) * len(every):
         return every, []
     mean = float(length[length <= 2 * np.median(length)].mean())
-    if np.mean(np.abs(length - mean) <= SPREAD) < ALIKE:
+    if mean < 1 / (1 - SLOWER) or np.mean(np.abs(length - mean) <= SPREAD) < ALIKE:
         return every, []
     since = every - starts[np.cumsum(new) - 1]
     fresh = np.flatnonzero(since % max(2, round(mean)) == 0)
