@@ -32,7 +32,7 @@ from fishmj.log.trial_folder import FLAT_FILE, META_FILE, read_trial, write_tria
 DEEP, MOST = 3, 20_000  # levels below a data set, and folders in all, where trials are looked for
 NEEDED = (
     f"needed is a folder with one folder a trial, in each {META_FILE} and tables (cmd, joint, pose ..) or a {FLAT_FILE};"
-    " python -m fishmj.log import SRC --out DATASET makes one of other recordings"
+    " fishmj log import SRC --out DATASET makes one of other recordings"
 )
 BUNDLE = "fishmj.bundle/1"  # schema of many trials in one file
 KEPT = {"cmd": "tc", "joint": "tj", "pose": "txy", "power": "tVI"}  # first letters of the columns in a bundle
