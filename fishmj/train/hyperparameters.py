@@ -107,7 +107,7 @@ class PPOConfig(PlainPPOConfig):
         "privileged: the critic sees the flow, the actor never does; plain: not",
         "--critic",
     )
-    mirror: float = setting(0.0, number(0, 1e3), "weight on what an action and the fish's mirror image's differ by")
+    mirror: float = setting(0.0, number(0, 1e3), "weight of the symmetry loss: the mirrored fish should act as the mirror image")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ of the box is read when the shear of the start is gone, long before U is steady.
 U0 L)) (Hasimoto 1959), F0 / U0 of the disc alone.
 
 Sources: Lamb, Hydrodynamics, art. 102 and 339 (disc); DNV-RP-C205, table of rectangular plates, which a lattice of doublets meets
-to 1e-4 (0.5791, 0.7569; docs/decisions). Hasimoto, J. Fluid Mech. 5:317.
+to 1e-4 (0.5791, 0.7569; studies/solver/NOTES.md). Hasimoto, J. Fluid Mech. 5:317.
 """
 
 from math import cos, pi, radians, sin
