@@ -26,7 +26,7 @@ from scipy.stats import t as student
 
 from fishmj.base.errors import LogError
 from fishmj.log.clock_alignment import LONGEST, REACH, offset_between, rates
-from fishmj.log.trial import Table, Trial, gaps, stacked
+from fishmj.log.trial import Table, Trial, gaps, repeats, stacked
 
 WINDOW = 2.0  # s, one bootstrap unit
 MIN_WINDOWS = 4
@@ -336,7 +336,7 @@ def clock_of(name: str, table: Table) -> TableClock:
     step = np.diff(t)
     middle = float(np.median(step)) if len(step) else 0.0
     off = np.abs(step - middle) if len(step) else np.zeros(1)
-    same = _repeats(table)
+    same = repeats(table)
     swum = float(np.sum(step[step <= max(PAUSE, 2 * middle)]))
     steps = int(np.sum(step <= max(PAUSE, 2 * middle)))
     if "seq" in table:
@@ -376,14 +376,6 @@ def _missing(step: np.ndarray) -> int:
     ratio = step / np.maximum(local, 1e-12)
     sigma = 1.4826 * float(np.median(np.abs(ratio - 1)))
     return int(np.sum(np.maximum(np.round(ratio[ratio > max(LOST, 1 + 4 * sigma)]) - 1, 0)))
-
-
-def _repeats(table: Table) -> np.ndarray:
-    """(T - 1,) True where all columns but the stamps and numbers equal the row before."""
-    values = [np.asarray(v, float) for c, v in table.items() if c not in ("t", "t_rx", "seq")]
-    if not values:
-        return np.zeros(max(len(table["t"]) - 1, 0), bool)
-    return np.all(np.diff(np.stack(values), axis=1) == 0, axis=0)
 
 
 def _pairs(trial: Trial):

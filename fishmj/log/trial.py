@@ -209,6 +209,14 @@ def stacked(table: Table, template: str) -> np.ndarray:
     return np.stack(columns, axis=1) if columns else np.zeros((len(table["t"]), 0))
 
 
+def repeats(table: Table) -> np.ndarray:
+    """(T - 1,) True where all columns but the stamps and numbers equal the row before."""
+    values = [np.asarray(v, float) for c, v in table.items() if c not in ("t", "t_rx", "seq")]
+    if not values:
+        return np.zeros(max(len(table["t"]) - 1, 0), bool)
+    return np.all(np.diff(np.stack(values), axis=1) == 0, axis=0)
+
+
 def gaps(t: np.ndarray, limit: float = GAP) -> np.ndarray:
     """Rows after which the table pauses: for longer than `limit` [s] and than 1.5 median steps (for slow cameras)."""
     step = np.diff(np.asarray(t, float))

@@ -1,7 +1,7 @@
 """Converts sheets and a map to a checked trial: SI units, seconds, nothing resampled; omitted data are noted."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -16,7 +16,7 @@ from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
 from fishmj.log.limits import bare, quoted
-from fishmj.log.trial import Table, Trial, table_spec
+from fishmj.log.trial import Table, Trial, repeats, table_spec
 from fishmj.log.trial_check import Implausible, Place, bounds_of
 
 DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3600.0  # s; clocks further apart than a day are different clocks
@@ -206,10 +206,15 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     return columns, place, notes, absolute
 
 
+def _angles(table: str, columns: Iterable[str]) -> list[str]:
+    """Names of the columns of joint angles, commanded or measured."""
+    return [name for name in columns if table in ("cmd", "joint") and name[0] in "cj" and name[1:].isdecimal()]
+
+
 def _across_the_seam(table: str, columns: Table) -> list[str]:
     """Unwraps joint angles that pass from 360 degrees to 0, or from 180 to -180, in place; a note on each."""
     notes = []
-    for name in (name for name in columns if table in ("cmd", "joint") and name[0] in "cj" and name[1:].isdecimal()):
+    for name in _angles(table, columns):
         angle = columns[name]
         step = np.abs(np.diff(angle))
         wraps = step > 1.5 * np.pi
@@ -229,7 +234,7 @@ def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
     every = np.arange(len(columns["t"]))
     if table == "cmd" or not table_spec(table).continuous:
         return every, []
-    new = np.append(True, np.any([np.diff(values) != 0 for column, values in columns.items() if column != "t"], axis=0))
+    new = np.append(True, ~repeats(columns))
     starts = np.flatnonzero(new)
     length = np.diff(starts)[1:]  # the first value may have begun before the log
     if len(length) < REPEATS or len(starts) > (1 - SLOWER) * len(every):
@@ -261,8 +266,9 @@ def _from_end(table: str, sheet: Sheet, columns: Table, entry: TableMap, most: f
     Raises LogError: the middle is further from straight than a robot's joint bends.
     """
     notes = []
-    for name, source in entry.columns.items():
-        if table not in ("cmd", "joint") or name[0] not in "cj" or not name[1:].isdecimal() or source.column is None:
+    for name in _angles(table, entry.columns):
+        source = entry.columns[name]
+        if source.column is None:
             continue
         low, middle, high = (float(q) for q in np.quantile(columns[name], (0.001, 0.5, 0.999)))
         near, far = min(abs(low), abs(high)), abs(middle)
@@ -280,7 +286,7 @@ def _from_end(table: str, sheet: Sheet, columns: Table, entry: TableMap, most: f
 
 def _switched(table: str, columns: Table) -> int:
     """First row from which every joint stays 57 times smaller or larger than in the second before; 0 if none."""
-    names = [column for column in columns if table in ("cmd", "joint") and column[0] in "cj" and column[1:].isdecimal()]
+    names = _angles(table, columns)
     step = float(np.median(np.diff(columns["t"]))) if len(columns["t"]) > 1 else 0.0
     reach = int(np.clip(1.0 / step, 20, 2000)) if step > 0 else 0
     if len(names) < 2 or not reach or len(columns["t"]) < 4 * reach:

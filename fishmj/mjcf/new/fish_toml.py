@@ -72,8 +72,12 @@ def side_fins(fish: FishAnswers, links: tuple[Link, ...]) -> tuple[Fin, ...]:
 
 def toml_of(robot: Robot, fish: FishAnswers) -> str:
     """The description as TOML with comments; `load_robot` reads back the same robot."""
-    words = {"given": "given on the command line", "asked": "asked", "default": "default, not measured"}
-    words |= {"placed": "typical for this number of links, not measured"}
+    words = {
+        "given": "given on the command line",
+        "asked": "asked",
+        "default": "default, not measured",
+        "placed": "typical for this number of links, not measured",
+    }
     said = {key: words[value] for key, value in fish.origin.items()}
     source = fish.outline.source
     high, wide = fish.outline.body
