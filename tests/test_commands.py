@@ -428,6 +428,7 @@ def failing(error):
         (OSError(28, "No space left on device"), "No space left on device"),
         (MemoryError(), "not enough memory"),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes"), "not enough memory"),
+        (ModuleNotFoundError("No module named 'numpy'", name="numpy"), f"{sys.executable} has no module numpy"),
         (argparse.ArgumentTypeError("out: is a file"), "out: is a file"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, Exception) else "",

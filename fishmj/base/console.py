@@ -129,7 +129,7 @@ def _refuse_nul(argv: Sequence[str]) -> None:
 
 
 def _of_the_machine(error: Exception) -> str:
-    """Message for an error of the file system or of memory; empty for every other error."""
+    """Message for an error of the file system, of memory or of the installation; empty for every other error."""
     if isinstance(error, OSError) and (error.filename is not None or error.errno in _FULL):
         where = f"{shown(str(error.filename), 200)}: " if error.filename is not None else ""
         files = (frame.f_code.co_filename for frame, _ in traceback.walk_tb(error.__traceback__))
@@ -142,6 +142,8 @@ def _of_the_machine(error: Exception) -> str:
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in sentence or "out of memory" in sentence.lower():
         details = shown(sentence.partition("\n")[0], 200) if sentence else "no details"
         return f"not enough memory ({details}); ask for less at once, or take a larger machine"
+    if isinstance(error, ModuleNotFoundError) and error.name and error.name.partition(".")[0] != "fishmj":
+        return f"the Python {sys.executable} has no module {error.name}; install fishmj into it as its README says"
     return ""
 
 
