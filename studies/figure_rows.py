@@ -47,6 +47,18 @@ OF_FAMILIES = {  # row of a page -> key of the families' score
     "intervals that hold": "intervals_hold",
 }
 FAMILIES = ("ellipsoid", "foil", "morison", "second_robot")
+ELSEWHERE = {  # row of a page -> water, policy and seed of the stored trials, one or two of them
+    "reference, seeds 10; 11": [("reference-2", "station-family", "10"), ("reference-2", "station-family", "11")],
+    "2 cm, slip 1": [("paper slip 1", "station-family", "9")],
+    "1.5 cm, slip 0.985": [("paper 1.5 cm slip 0.985", "station-family", "9")],
+    "1 cm, slip 0.995; 0.985": [("window slip 0.995", "station-family", "9"), ("window slip 0.985", "station-family", "9")],
+    "reference, mass 20 % more; less": [(f"reference-2, mass 20 % {off}", "station-family", "9") for off in ("more", "less")],
+    "2 cm, slip 0.97, seeds 9; 10": [("paper slip 0.97", "station-family", seed) for seed in ("9", "10")],
+    "the same, training seeds 0; 2": [("paper slip 0.97", policy, "9") for policy in ("seed 0", "seed 2")],
+    "reference, at 0.35 and 0.4 m/s": [("reference-2, 0.35 and 0.4 m/s", "station-family", "9")],
+    "reference, at 0, 0.02 and 0.04 m/s": [("reference-2, 0 to 0.04 m/s", "station-family", "9")],
+    "2 cm, slip 1, at 0, 0.02 and 0.04 m/s": [("paper slip 1, 0 to 0.04 m/s", "station-family", "9")],
+}
 FORCES = {"drag, N": "drag_N", "lateral, N": "lateral_N", "yaw, N m": "yaw_Nm"}
 
 
@@ -191,6 +203,26 @@ def rivals(label: str) -> list[float]:
         better.append([difference(key, ours, x).low > 0 for x in theirs])
         p += list(holm([paired_p(ours, x) for x in theirs]))
     return [int(np.all(better, 0).sum()), len(trials), max(p)]
+
+
+def elsewhere(label: str) -> list[float]:
+    """`2 cm, slip 1` -> arrivals and trials; RMSE after arrival, of one set with its interval; last 20 s; by speed; worst trial."""
+    wanted = ELSEWHERE.get(label, [(label.replace("reference", "reference-2"), "station-family", "9")])
+    rows = table(HERE / "training" / "rows" / "judged_station_family.csv")
+    sets = [[r for r in rows if (r["water"], r["controller"], r["seed"]) == one] for one in wanted]
+    arrived = [(int(column(some, "arrival").sum()), len(some)) for some in sets]
+    if all(count == n for count, n in arrived):
+        arrived = [tuple(map(sum, zip(*arrived, strict=True)))]
+    after = [estimate("rmse_after_arrival", column(some, "rmse_after_arrival")) for some in sets]
+    rmse = [x.value for x in after] if len(after) > 1 else [after[0].value, after[0].low, after[0].high]
+    last = [float(np.nanmean(column(some, "rmse_last20"))) for some in sets]
+    speeds = [
+        float(np.nanmean(column([r for r in some if r["speed"] == speed], "rmse_after_arrival")))
+        for some in sets
+        for speed in sorted({r["speed"] for r in some})
+    ]
+    worst = [float(np.nanmax(column(some, "rmse_after_arrival"))) for some in sets]
+    return [*(number for pair in arrived for number in pair), *rmse, *last, *speeds, *([] if "training" in label else worst)]
 
 
 def shapes(label: str) -> list[float]:
