@@ -7,6 +7,7 @@ from lab_files import N, near, only
 
 from fishmj import log
 from fishmj.log import physical_checks
+from fishmj.log.importers import cells
 
 T = 0.02 * N
 SWING = [0.5 * np.sin(6 * T - k) for k in range(3)]  # rad
@@ -52,6 +53,50 @@ def test_a_file_in_which_the_joint_rests_does_not_raise_the_question(tmp_path, b
     code, _, err = bring(tmp_path / "in", "--yes")
     assert code == 0, err
     near(log.read_trial(tmp_path / "set" / "tue").tables["joint"]["j1"], np.radians(noise), 1e-5)
+
+
+def of_video(path, fps, every=1, mark=".", digits=2, seconds=10):
+    """A log whose stamps count frames within a second."""
+    frames = np.arange(7, seconds * fps, every)
+    rows = [f"10:00:{f // fps:02d}{mark}{f % fps:0{digits}d},{20 * np.sin(6 * f / fps):.4f}" for f in frames]
+    path.write_text("\n".join(["time,servo1_deg", *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("fps", "every", "digits", "span"),
+    [
+        (30, 1, 2, ".00 to .29"),
+        (25, 2, 2, ".00 to .24"),
+        (60, 1, 2, ".00 to .59"),
+        (24, 6, 2, ".01 to .19"),
+        (240, 3, 3, ".001 to .238"),
+    ],
+)
+def test_stamps_that_count_frames_of_a_video_are_asked(tmp_path, bring, fps, every, digits, span):
+    path = of_video(tmp_path / "log.csv", fps, every, digits=digits)
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and f"count from {span}" in err and "s + frame / frames a second" in err and "--set time=t:date" in err
+    code, _, err = bring(path, "--yes", "--set", "time=t")
+    assert code == 2 and "frames of a video" in err
+    assert bring(path, "--yes", "--set", "time=t:date")[0] == 0
+
+
+@pytest.mark.parametrize("mark", [";", ":"])
+def test_time_codes_are_named_where_no_time_is_found(tmp_path, bring, mark):
+    path = tmp_path / "log.csv"
+    of_video(path, 30, mark=mark)
+    path.write_text(path.read_text().replace(",", "\t"))
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and f"'time' holds frames, 10:00:00{mark}07: write seconds" in err
+
+
+@pytest.mark.parametrize("rate", [1, 2, 2.5, 7, 10, 29.97, 30, 50, 100])
+@pytest.mark.parametrize("late", [0.0, 0.003])
+def test_decimal_seconds_are_not_taken_for_frames(rate, late):
+    t = 36005.07 + np.arange(400) / rate + np.random.default_rng(1).uniform(0, late / rate, 400)
+    for digits in (2, 3):
+        assert not cells.frame_doubt(np.round(t, digits)) and not cells.frame_doubt(1.7e9 + np.round(t, digits))
 
 
 @pytest.mark.parametrize("names", ["time_s,servo3_deg,servo2_deg,servo1_deg", "t,x,y,yaw"])

@@ -11,6 +11,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log import toml
+from fishmj.log.importers.cells import frame_doubt
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.registry import renamed, trial_of
@@ -307,6 +308,8 @@ def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
     """Stamps in s, and True if they count from 1970."""
     raw = sheet.columns[stamp.column]
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
+    if dated and stamp.unit != DATE and (doubt := frame_doubt(raw)):
+        raise LogError(f"{sheet.place(0, stamp.column)}: {doubt}")
     t = raw * (1.0 if dated else stamp.factor)
     for column, size in stamp.parts.items():
         t = t + size * sheet.columns[column]
