@@ -7,7 +7,7 @@ from lab_files import N, near, only
 
 from fishmj import log
 from fishmj.log import physical_checks
-from fishmj.log.importers import cells
+from fishmj.log.importers import cells, joint_switches
 
 T = 0.02 * N
 SWING = [0.5 * np.sin(6 * T - k) for k in range(3)]  # rad
@@ -106,6 +106,49 @@ def test_other_names_in_the_middle_of_a_file_are_refused(tmp_path, bring, names)
     path.write_text("\n".join([*lines[:51], names, *lines[51:]]) + "\n")
     code, _, err = bring(path, "--yes")
     assert code == 2 and f"{path}:52:1: other names of columns in the middle" in err
+
+
+def swims(rows=400, rate=50.0):
+    """Angles (3, rows) rad of a gait with the noise of its encoders."""
+    t = np.arange(rows) / rate
+    noise = 0.003 * np.random.default_rng(2).standard_normal((3, rows))
+    return t, np.stack([0.4 * np.sin(6 * t - k) for k in range(3)]) + noise
+
+
+def exchanged(values, row, order):
+    """A copy whose columns stand in another order from a row on."""
+    out = values.copy()
+    out[:, row:] = values[list(order), row:]
+    return out
+
+
+@pytest.mark.parametrize("name", ["servo{}_deg", "meas{}_deg"])
+@pytest.mark.parametrize(("order", "told"), [((1, 0, 2), (1, 2)), ((2, 1, 0), (1, 3)), ((1, 2, 0), (1, 2, 3))])
+def test_joints_that_change_columns_in_the_middle_are_refused(tmp_path, bring, name, order, told):
+    t, values = swims()
+    values = np.degrees(exchanged(values, 203, order))
+    if name.startswith("meas"):
+        values[2, 300] = -100.0  # a failed read
+    path = lab_files.write(tmp_path / "log.csv", {"time_s": t, **{name.format(k + 1): values[k] for k in range(3)}})
+    code, _, err = bring(path, "--yes")
+    letter = "c" if name.startswith("servo") else "j"
+    assert code == 2 and f"log.csv:205:{name.format(1)}:" in err, err
+    assert f"{', '.join(f'{letter}{k}' for k in told)} jump at this row" in err and "exchanged from here on? Split" in err
+
+
+def test_joints_that_jump_or_change_their_gait_are_not_taken_for_exchanged():
+    t, values = swims()
+    held = np.where(t < 4, 0.3, -0.3)
+    gaits = {
+        "as it is": values,
+        "one jump": values + np.where(t < 4, 0.0, 0.4) * np.array([[1], [0], [0]]),
+        "another gait": np.where(t < 4, values, 0.5 * values[::-1] + 0.3),
+        "two poses": np.stack([held, -held, 0 * t]) + 0.1 * (values - swims()[1]),
+        "square": np.stack([np.sign(np.sin(3 * t)), -np.sign(np.sin(3 * t)), 0 * t]),
+        "alternate": np.stack([values[0], -values[0], values[0]]),
+    }
+    for told, q in gaits.items():
+        assert joint_switches.find(t, {f"j{k + 1}": q[k] for k in range(3)}) is None, told
 
 
 def test_two_fish_with_the_same_stamps_are_refused_and_repeated_rows_are_not(tmp_path, bring):

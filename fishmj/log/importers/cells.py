@@ -194,9 +194,10 @@ def frame_doubt(seconds: np.ndarray) -> str:
     step, most = float(np.median(steps)), float(part.max())
     if step <= 0 or most + step > FRAMES * 10**digits:
         return ""
+    span = f".{part.min():0{digits}.0f} to .{most:0{digits}.0f}"
     return (
-        f"its decimals count from .{part.min():0{digits}.0f} to .{most:0{digits}.0f} and begin again each second: frames of a video? Write"
-        ' seconds, s + frame / frames a second; if they are decimals of a second, say unit = "date" in a map'
+        f"its decimals count from {span} and begin again each second: frames of a video? Write seconds, s + frame / frames a"
+        ' second; if they are decimals of a second, say unit = "date" in a map'
     )
 
 
