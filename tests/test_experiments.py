@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -405,6 +407,13 @@ def test_policy_of_another_water_is_said_on_the_page(tmp_path, capsys):
 def test_command_lists_all_experiments_with_their_cost(capsys):
     code, out, _ = run_command(capsys)
     assert code == 0 and all(name in out for name in MODULES) and "CPU time" in out
+
+
+def test_list_of_experiments_loads_none_of_the_heavy_packages():
+    code = "import sys; from fishmj.evaluate.experiments import __main__ as verb; verb.main([]); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"jax", "mujoco", "scipy", "matplotlib", "numba", "warp"}
+    assert "fishmj.evaluate.experiments.input_saliency" in done.stdout and heavy.isdisjoint(done.stdout.split())
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ def test_a_report_is_answered_without_its_data(tmp_path, capsys):
     assert next_experiment.main([str(tmp_path), "--runs", "slow_triangle,drift_north", "--null-runs", "16", "--json"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["experiments"][0]["excitation"] == "slow_triangle"
-    assert "between coulomb friction and viscous friction" in told["advice"]
+    assert "between Coulomb friction and viscous friction" in told["advice"]
 
 
 def test_nothing_is_left_to_decide_after_a_name(tmp_path, capsys):

@@ -142,4 +142,4 @@ def test_place_of_the_gap_is_the_joint(sticky):
 def test_page_shows_the_answer(sticky, tmp_path):
     write_robot_page(sticky, place_of(sticky), by_effect(sticky.verdict), tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert "Missing: coulomb friction at elbow" in page and "Torques that nothing explains" in page
+    assert "Missing: Coulomb friction at elbow" in page and "Torques that nothing explains" in page

@@ -68,7 +68,7 @@ def test_friction_of_many_joints_comes_in_one_round_with_a_value_for_each(tmp_pa
     said: list[str] = []
     found = forward_select(likelihood_of(model, records, null), robot_gates(), split(records), said.append)
     first = found.steps[0].ranked[0]
-    assert first.added == 4 and said[0].startswith("coulomb friction at 4 joints: gain")
+    assert first.added == 4 and said[0].startswith("Coulomb friction at 4 joints: gain")
     rubs = {name for name in found.best.names if name.startswith("coulomb_friction")}
     assert rubs == {f"coulomb_friction@hip{j}" for j, size in enumerate(HIDDEN) if size}
     for j, size in enumerate(HIDDEN):
@@ -132,7 +132,7 @@ def test_value_that_is_not_believable_costs_the_names_of_its_own_joint_only():
     value = {"torque": Value(0.05, "N m", 0.04, 0.06)}
     effect = lambda name: NamedEffect(name, value, 1.0, 0.9)
     names = [f"{kind}@hip{j}" for kind in ("coulomb_friction", "rotor_inertia") for j in range(4)] + ["command_latency"]
-    doubt = ("coulomb friction at hip1: the records disagree about its size by more than 30 %",)
+    doubt = ("Coulomb friction at hip1: the records disagree about its size by more than 30 %",)
     found = without_stand_in(Verdict("CLASS", effects=tuple(map(effect, names)), warnings=doubt))
     told = by_effect(found)
     assert found.answer == "NAMED" and set(told.values()) == {"NAMED"}

@@ -261,6 +261,8 @@ def test_no_id_of_an_effect_and_no_number_without_end_is_said():
         (quantity(0.04, "s", 0.0347, 0.0452), "40 (34.7 to 45.2) ms"),
         (quantity(0.1, "1"), "0.1"),
         (title("yaw_drag+swirl"), "yaw drag and swirl"),
+        (title("coulomb_friction@left_hip+stribeck"), "Coulomb friction at left hip and Stribeck"),
+        (title("munk_moment+viscous_friction@munk"), "Munk moment and viscous friction at munk"),
     ],
 )
 def test_numbers_have_two_or_three_digits(shown, expected):

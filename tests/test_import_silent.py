@@ -7,6 +7,7 @@ from lab_files import N, near, only
 
 from fishmj import log
 from fishmj.log import physical_checks
+from fishmj.log.importers import cells, joint_switches
 
 T = 0.02 * N
 SWING = [0.5 * np.sin(6 * T - k) for k in range(3)]  # rad
@@ -54,6 +55,50 @@ def test_a_file_in_which_the_joint_rests_does_not_raise_the_question(tmp_path, b
     near(log.read_trial(tmp_path / "set" / "tue").tables["joint"]["j1"], np.radians(noise), 1e-5)
 
 
+def of_video(path, fps, every=1, mark=".", digits=2, seconds=10):
+    """A log whose stamps count frames within a second."""
+    frames = np.arange(7, seconds * fps, every)
+    rows = [f"10:00:{f // fps:02d}{mark}{f % fps:0{digits}d},{20 * np.sin(6 * f / fps):.4f}" for f in frames]
+    path.write_text("\n".join(["time,servo1_deg", *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("fps", "every", "digits", "span"),
+    [
+        (30, 1, 2, ".00 to .29"),
+        (25, 2, 2, ".00 to .24"),
+        (60, 1, 2, ".00 to .59"),
+        (24, 6, 2, ".01 to .19"),
+        (240, 3, 3, ".001 to .238"),
+    ],
+)
+def test_stamps_that_count_frames_of_a_video_are_asked(tmp_path, bring, fps, every, digits, span):
+    path = of_video(tmp_path / "log.csv", fps, every, digits=digits)
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and f"count from {span}" in err and "s + frame / frames a second" in err and "--set time=t:date" in err
+    code, _, err = bring(path, "--yes", "--set", "time=t")
+    assert code == 2 and "frames of a video" in err
+    assert bring(path, "--yes", "--set", "time=t:date")[0] == 0
+
+
+@pytest.mark.parametrize("mark", [";", ":"])
+def test_time_codes_are_named_where_no_time_is_found(tmp_path, bring, mark):
+    path = tmp_path / "log.csv"
+    of_video(path, 30, mark=mark)
+    path.write_text(path.read_text().replace(",", "\t"))
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and f"'time' holds frames, 10:00:00{mark}07: write seconds" in err
+
+
+@pytest.mark.parametrize("rate", [1, 2, 2.5, 7, 10, 29.97, 30, 50, 100])
+@pytest.mark.parametrize("late", [0.0, 0.003])
+def test_decimal_seconds_are_not_taken_for_frames(rate, late):
+    t = 36005.07 + np.arange(400) / rate + np.random.default_rng(1).uniform(0, late / rate, 400)
+    for digits in (2, 3):
+        assert not cells.frame_doubt(np.round(t, digits)) and not cells.frame_doubt(1.7e9 + np.round(t, digits))
+
+
 @pytest.mark.parametrize("names", ["time_s,servo3_deg,servo2_deg,servo1_deg", "t,x,y,yaw"])
 def test_other_names_in_the_middle_of_a_file_are_refused(tmp_path, bring, names):
     path = lab_files.write(tmp_path / "log.csv", {"time_s": T, **servos(20, unit="_deg")})
@@ -61,6 +106,49 @@ def test_other_names_in_the_middle_of_a_file_are_refused(tmp_path, bring, names)
     path.write_text("\n".join([*lines[:51], names, *lines[51:]]) + "\n")
     code, _, err = bring(path, "--yes")
     assert code == 2 and f"{path}:52:1: other names of columns in the middle" in err
+
+
+def swims(rows=400, rate=50.0):
+    """Angles (3, rows) rad of a gait with the noise of its encoders."""
+    t = np.arange(rows) / rate
+    noise = 0.003 * np.random.default_rng(2).standard_normal((3, rows))
+    return t, np.stack([0.4 * np.sin(6 * t - k) for k in range(3)]) + noise
+
+
+def exchanged(values, row, order):
+    """A copy whose columns stand in another order from a row on."""
+    out = values.copy()
+    out[:, row:] = values[list(order), row:]
+    return out
+
+
+@pytest.mark.parametrize("name", ["servo{}_deg", "meas{}_deg"])
+@pytest.mark.parametrize(("order", "told"), [((1, 0, 2), (1, 2)), ((2, 1, 0), (1, 3)), ((1, 2, 0), (1, 2, 3))])
+def test_joints_that_change_columns_in_the_middle_are_refused(tmp_path, bring, name, order, told):
+    t, values = swims()
+    values = np.degrees(exchanged(values, 203, order))
+    if name.startswith("meas"):
+        values[2, 300] = -100.0  # a failed read
+    path = lab_files.write(tmp_path / "log.csv", {"time_s": t, **{name.format(k + 1): values[k] for k in range(3)}})
+    code, _, err = bring(path, "--yes")
+    letter = "c" if name.startswith("servo") else "j"
+    assert code == 2 and f"log.csv:205:{name.format(1)}:" in err, err
+    assert f"{', '.join(f'{letter}{k}' for k in told)} jump at this row" in err and "exchanged from here on? Split" in err
+
+
+def test_joints_that_jump_or_change_their_gait_are_not_taken_for_exchanged():
+    t, values = swims()
+    held = np.where(t < 4, 0.3, -0.3)
+    gaits = {
+        "as it is": values,
+        "one jump": values + np.where(t < 4, 0.0, 0.4) * np.array([[1], [0], [0]]),
+        "another gait": np.where(t < 4, values, 0.5 * values[::-1] + 0.3),
+        "two poses": np.stack([held, -held, 0 * t]) + 0.1 * (values - swims()[1]),
+        "square": np.stack([np.sign(np.sin(3 * t)), -np.sign(np.sin(3 * t)), 0 * t]),
+        "alternate": np.stack([values[0], -values[0], values[0]]),
+    }
+    for told, q in gaits.items():
+        assert joint_switches.find(t, {f"j{k + 1}": q[k] for k in range(3)}) is None, told
 
 
 def test_two_fish_with_the_same_stamps_are_refused_and_repeated_rows_are_not(tmp_path, bring):

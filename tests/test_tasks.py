@@ -326,15 +326,16 @@ def test_the_table_of_the_randomisation_has_the_constants():
     ]
 
 
-def test_a_fish_with_longer_latency_than_the_drawn_ones_draws_about_its_own():
-    """Else a judgement of a slow robot would be that of a fast one."""
+def test_a_fish_whose_latency_is_not_drawn_draws_about_its_own():
+    """Else a judgement of a slow robot would be that of a fast one, and the other way round."""
     drawn = {}
-    for own in (0.06, 0.15):
+    for own in (0.0, 0.01, 0.06, 0.15):
         robot = replace(ROBOT, timing=replace(ROBOT.timing, command_latency=own, camera_latency=2 * own))
         fish, camera = task.draw_fish(np, robot, np.random.default_rng(0).uniform(size=(500, task.n_fish(robot))))
         delay = fish.delay * robot.timing.physics_dt
         drawn[own] = [round(float(x), 2) for x in (delay.min(), delay.max())], int(camera.min()), int(camera.max())
-    assert drawn == {0.06: ([0.02, 0.12], 5, 8), 0.15: ([0.1, 0.2], 14, 17)}
+    paper = ([0.02, 0.12], 2, 5)  # also of 0, which stands for not measured
+    assert drawn == {0.0: paper, 0.01: ([0.0, 0.06], 1, 3), 0.06: ([0.02, 0.12], 5, 8), 0.15: ([0.1, 0.2], 14, 17)}
 
 
 def test_the_privileged_view_has_its_groups_in_their_order():

@@ -1,6 +1,7 @@
 """Words for the names and numbers of an answer, the same in a terminal and on a page."""
 
 import math
+import re
 
 SCALES = {
     "s": (1e3, "ms"),
@@ -10,11 +11,14 @@ SCALES = {
     "m/s": (1e3, "mm/s"),
 }
 PLAIN = 1e6  # from here on numbers are written with an exponent
+PERSONS = re.compile(r"\b(coulomb|munk|stribeck)\b")  # in the words of effects
 
 
 def title(name: str) -> str:
-    """An effect's id, or several with + between, as words."""
-    return " and ".join(part.strip().replace("_", " ").replace("@", " at ") for part in name.split("+"))
+    """An effect's id, or several with + between, as words: `coulomb_friction@left_hip` is Coulomb friction at left hip."""
+    parts = (part.strip().replace("_", " ").partition("@") for part in name.split("+"))
+    capital = lambda found: found[0].capitalize()
+    return " and ".join(PERSONS.sub(capital, effect) + f"{at}{place}".replace("@", " at ") for effect, at, place in parts)
 
 
 def sentence(text: str) -> str:

@@ -87,11 +87,12 @@ class Timing:
     def drawn_latency(self, key: str) -> tuple[float, float]:
         """Range of `command_latency` or `camera_latency` of a randomised fish, s.
 
-        The paper's; for a description whose own latency is longer than all of these, as wide about that one.
+        The paper's; for a description whose own latency lies outside of it, as wide about that one, and never below 0. A latency
+        of 0 is taken as not measured.
         """
         (low, high), own = constant("randomisation", key), getattr(self, key)
         half = 0.5 * (high - low)
-        return (low, high) if own <= high else (own - half, own + half)
+        return (low, high) if own == 0.0 or low <= own <= high else (max(own - half, 0.0), own + half)
 
 
 @dataclass(frozen=True, kw_only=True)

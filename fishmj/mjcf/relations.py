@@ -382,7 +382,7 @@ def unlikely(table: Mapping[str, Any]) -> Iterator[KeyFault]:
     if not 950.0 <= rho <= 1100.0:
         yield KeyFault("body", None, "density_water", f"{rho:g} kg/m3", "about 1000 kg/m3 in fresh water, 1025 in the sea")
     yield from _unlikely_servo(servo)
-    yield from _unlikely_timing(table.get("timing", {}))
+    yield from _unlikely_timing(table)
     low, volts = table.get("rig", {}).get("low_voltage"), servo["voltage"]
     if low is not None and not CHARGED * volts <= low < volts:
         todo = "below it a swim ends, and no robot arms; right only where the voltage that is measured is not that of the servos"
@@ -409,14 +409,16 @@ def _unlikely_outline(links: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
         yield KeyFault("link", None, "com", f"{1000 * high:.3g} mm above the axis on average", "the mass below the axis", todo)
 
 
-def _unlikely_timing(given: Mapping[str, Any]) -> Iterator[KeyFault]:
-    """Notes on latencies longer than the paper's, about which a randomised fish draws its own."""
+def _unlikely_timing(table: Mapping[str, Any]) -> Iterator[KeyFault]:
+    """Notes on latencies outside the paper's range, about which a randomised fish draws its own, and on 0 of an own fish."""
     for key in ("command_latency", "camera_latency"):
-        high, latency = constant("randomisation", key)[1], given.get(key)
-        if latency is not None and latency > high:
-            low, most = Timing(**{key: latency}).drawn_latency(key)
-            todo = f"randomised fish (training, judgement) draw theirs about it, from {low:g} to {most:g} s"
-            yield KeyFault("timing", None, key, f"{latency:g} s", f"at most {high:g} s", todo)
+        (low, high), latency = constant("randomisation", key), table.get("timing", {}).get(key)
+        if latency is None or low <= latency <= high or (latency == 0.0 and table.get("name") in calib.shipped()):
+            continue
+        drawn = Timing(**{key: latency}).drawn_latency(key)
+        centre = "about it" if latency else "as if it were not measured"
+        todo = f"randomised fish (training, judgement) draw theirs {centre}, from {drawn[0]:g} to {drawn[1]:g} s"
+        yield KeyFault("timing", None, key, f"{latency:g} s", f"{low:g} to {high:g} s", todo)
 
 
 def _unlikely_servo(s: Mapping[str, float]) -> Iterator[KeyFault]:

@@ -8,7 +8,6 @@ memory counts with all its remembered values.
 """
 
 import numpy as np
-from scipy.stats import rankdata
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.figures import BLUE, VERMILION, canvas, png, style
@@ -54,6 +53,8 @@ def shares(importance: np.ndarray) -> np.ndarray:
 
 def rank_correlation(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Spearman's correlation (...,) over the last axis of two arrays (..., N)."""
+    from scipy.stats import rankdata
+
     a, b = (rankdata(x, axis=-1) for x in (one, other))
     a, b = a - a.mean(-1, keepdims=True), b - b.mean(-1, keepdims=True)
     return np.sum(a * b, -1) / np.sqrt(np.maximum(np.sum(a * a, -1) * np.sum(b * b, -1), 1e-12))

@@ -16,6 +16,8 @@ from fishmj.log.limits import quoted
 
 BLANKS = {"", "nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "#nv", "<na>", "nat"}
 DAY = 86_400.0  # s
+TIME_CODE = re.compile(r"\d{1,2}:\d{2}:\d{2}[:;]\d{2}", re.ASCII)  # of a video: hours, minutes, seconds, frames
+FRAMES = 0.75  # of a second that frames reach as decimals: 60 of 100, 240 or 480 of 1000
 _SPACED = re.compile(r"[+-]?\d{1,3}(?P<mark>['\u2019\x92\u00a0\u2009\u202f ])\d{3}(?:(?P=mark)\d{3})*(?:[.,]\d*)?", re.ASCII)
 _MARKS = re.compile(r"['\u2019\x92\u00a0\u2009\u202f ]")
 _MINUS = re.compile(r"\A[\u2212\u2013\x96](?=[\d.,])|(?<=[eE])\u2212")  # minus sign, en dash, and that of Windows-1252
@@ -175,6 +177,28 @@ def _calmer(day_first: np.ndarray, month_first: np.ndarray) -> int | None:
     longest = [float(np.max(np.abs(np.diff(v[np.isfinite(v)])), initial=0.0)) for v in (day_first, month_first)]
     calm = [value < DAY for value in longest]
     return None if all(calm) else calm.index(True) if any(calm) else -1
+
+
+def frame_doubt(seconds: np.ndarray) -> str:
+    """Doubt about times of day (T,) whose decimals count the frames of a video, as `10:00:05.29`; "" for decimal seconds.
+
+    Decimal seconds of even steps come to one step before the next second in every second; frames never do.
+    """
+    t = seconds[np.isfinite(seconds)]
+    digits = next((n for n in (2, 3) if np.all(np.abs(10**n * t - np.round(10**n * t)) < 0.01)), 0)
+    whole, part = np.divmod(np.round(10**digits * t), 10**digits)
+    turns = np.diff(whole)
+    steps = np.diff(part)[turns == 0]
+    if len(t) < 10 or not digits or not len(steps) or not turns.any() or 2 * np.sum(turns == 1) < np.sum(turns != 0):
+        return ""
+    step, most = float(np.median(steps)), float(part.max())
+    if step <= 0 or most + step > FRAMES * 10**digits:
+        return ""
+    span = f".{part.min():0{digits}.0f} to .{most:0{digits}.0f}"
+    return (
+        f"its decimals count from {span} and begin again each second: frames of a video? Write seconds, s + frame / frames a"
+        ' second; if they are decimals of a second, say unit = "date" in a map'
+    )
 
 
 def may_hide_thousands(values: np.ndarray) -> bool:

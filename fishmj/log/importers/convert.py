@@ -11,6 +11,8 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log import toml
+from fishmj.log.importers import joint_switches
+from fishmj.log.importers.cells import frame_doubt
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.registry import renamed, trial_of
@@ -24,8 +26,6 @@ AHEAD = 60.0  # s, between the last command and the first row of the swim
 NEAR, SLACK = 10, 0.01  # steps, or part of the period of a counter that may go by while it turns
 _PIECES = re.compile(r"(\d+)")
 FEW = 3  # times that a clock which was set goes back; rows that are mixed do so more often
-SAME, TINY = 0.1, 1e-9  # of a logarithm: 10 %; rad
-SWITCH = "all joints are 57 times smaller or larger from about here on: degrees and radians? Split the file there"
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
@@ -198,10 +198,9 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     notes += told
     notes += _across_the_seam(table, columns)
     notes += _still(table, columns)
-    if doubt := _switched(table, columns):
-        raise LogError(
-            f"{sheet.place(int(rows[doubt]), next(iter(entry.columns.values())).column or '')}: [tables.{table}]: {SWITCH}"
-        )
+    if doubt := joint_switches.find(columns["t"], {name: columns[name] for name in _angles(table, columns)}):
+        row, column, text = doubt
+        raise LogError(f"{sheet.place(int(rows[row]), names.get(column, ''))}: [tables.{table}]: {text}")
     place = renamed(lambda row, column: sheet.place(int(rows[row]) if 0 <= row < len(rows) else -1, column), names)
     return columns, place, notes, absolute
 
@@ -284,29 +283,12 @@ def _from_end(table: str, sheet: Sheet, columns: Table, entry: TableMap, most: f
     return notes
 
 
-def _switched(table: str, columns: Table) -> int:
-    """First row from which every joint stays 57 times smaller or larger than in the second before; 0 if none."""
-    names = _angles(table, columns)
-    step = float(np.median(np.diff(columns["t"]))) if len(columns["t"]) > 1 else 0.0
-    reach = int(np.clip(1.0 / step, 20, 2000)) if step > 0 else 0
-    if len(names) < 2 or not reach or len(columns["t"]) < 4 * reach:
-        return 0
-    size = np.abs(np.stack([columns[name] for name in names if columns[name].any()] or [np.zeros(len(columns["t"]))]))
-    blocks = size[:, : size.shape[1] // reach * reach].reshape(len(size), -1, reach).max(axis=2)
-    before = np.maximum.accumulate(blocks, axis=1)[:, :-1]  # largest angle up to each second, and from the next one on
-    after = np.maximum.accumulate(blocks[:, ::-1], axis=1)[:, ::-1][:, 1:]
-    times = np.abs(np.log(np.maximum(before, TINY) / np.maximum(after, TINY)))
-    last = np.maximum(blocks[:, :-1], np.pad(blocks, ((0, 0), (1, 0)))[:, :-2])  # two blocks: the switch may lie inside one
-    first = np.maximum(blocks[:, 1:], np.pad(blocks, ((0, 0), (0, 1)))[:, 2:])
-    abrupt = (last > 0.5 * before) & (first > 0.5 * after)
-    found = np.flatnonzero(np.all((np.abs(times - np.log(180 / np.pi)) < SAME) & abrupt, axis=0))
-    return int(found[0] + 1) * reach if len(found) and len(size) > 1 else 0
-
-
 def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
     """Stamps in s, and True if they count from 1970."""
     raw = sheet.columns[stamp.column]
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
+    if dated and stamp.unit != DATE and (doubt := frame_doubt(raw)):
+        raise LogError(f"{sheet.place(0, stamp.column)}: {doubt}")
     t = raw * (1.0 if dated else stamp.factor)
     for column, size in stamp.parts.items():
         t = t + size * sheet.columns[column]

@@ -262,6 +262,7 @@ class _Reader:
             for column, count in self.counts.items()
             if column in columns and count > BAD_ROWS * len(self.lines) and _QUANTITY.fullmatch(self.text[column])
         }
+        doubts |= {column: doubt for column in self.dates if (doubt := cells.frame_doubt(columns.get(column, np.zeros(0))))}
         units = {**self.layout.units, **dict.fromkeys(self.dates, DATE)}
         units = {column: unit for column, unit in units.items() if column in columns}
         return Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts)

@@ -9,6 +9,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.importers import column_units, header
+from fishmj.log.importers.cells import TIME_CODE
 from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.column_map import measured
 from fishmj.log.importers.column_units import SI, measures
@@ -449,7 +450,9 @@ def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]
                     f"no column of time among the names; is it this one? {why}", places=("t",), fits=("s*SECONDS",) * rows
                 )
     if not any(g.kind == k and g.state == UNCLEAR and g.place == "t" for g in out):
-        lost = [quoted(c) for c in kind.columns if role(header.parse(c), set()).places == ("t",)]
-        why = f"its file has no column of time{f' ({lost[0]} holds no number)' if lost else ''}: skip it, or write one"
+        lost = next((c for c in kind.columns if role(header.parse(c), set()).places == ("t",)), "")
+        cell = kind.sheets[0].text.get(lost, "")
+        what = f"frames, {cell}: write seconds, s + frame / frames a second" if TIME_CODE.fullmatch(cell) else "no number"
+        why = f"its file has no column of time{f' ({quoted(lost)} holds {what})' if lost else ''}: skip it, or write one"
         out = [g.unclear(why) if i in mine and not g.said else g for i, g in enumerate(out)]
     return out

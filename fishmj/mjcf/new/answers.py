@@ -226,17 +226,15 @@ def gather(
             " see fishmj new --help"
         )
     for number, question in enumerate(wanted, 1):
-        if question.key in given:
-            typed, how = given[question.key], "given"
-            known[question.key] = _read(question, typed, known)
-        elif defaults or ask is None:
-            typed, how = question.default(known), "default"
-            known[question.key] = _read(question, typed, known)
+        key = question.key
+        if key in given or defaults or ask is None:
+            typed, how = (given[key], "given") if key in given else (question.default(known), "default")
+            known[key] = _read(question, typed, known)
         else:
-            known[question.key], typed = _asked(question, known, ask, f"{number}/{len(wanted)} ")
+            known[key], typed = _asked(question, known, ask, f"{number}/{len(wanted)} ")
             how = "asked" if typed else "default"
-        counted = question.key == "joints" and how != "default" and COUNT.fullmatch(typed)
-        origin[question.key] = "placed" if counted else how
+        counted = key == "joints" and how != "default" and COUNT.fullmatch(typed)
+        origin[key] = "placed" if counted else how
     return known, origin
 
 
