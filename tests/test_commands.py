@@ -423,7 +423,6 @@ def failing(error):
     ("error", "said"),
     [
         (PermissionError(13, "Permission denied", "/etc/shadow"), "'/etc/shadow': Permission denied"),
-        (IsADirectoryError(21, "Is a directory", "/tmp"), "'/tmp': Is a directory"),
         (OSError(36, "File name too long", "n" * 5000), "File name too long"),
         (OSError(28, "No space left on device"), "No space left on device"),
         (MemoryError(), "not enough memory"),

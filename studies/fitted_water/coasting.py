@@ -1,4 +1,4 @@
-"""How far a fish goes in the solver and in a fitted water under the same commands, from rest to its target and past it.
+"""Distance that a fish goes in the solver and in a fitted water under the same commands, from rest to its target and past it.
 
     fishmj evaluate station-family --water lbm --reference --device cuda --tanks 24 --repeats 1 --seed 9 --speeds 0 --out still
     python -m studies.fitted_water.coasting still --water swift-reference            20 s on one core; --json: one JSON object
