@@ -206,7 +206,7 @@ def rivals(label: str) -> list[float]:
 
 
 def elsewhere(label: str) -> list[float]:
-    """`2 cm, slip 1` -> arrivals, trials, RMSE after arrival (of one set with its interval), of the last 20 s, by speed, worst."""
+    """`2 cm, slip 1` -> arrivals, trials, RMSE after arrival (one set: its interval), of the last 20 s, by speed, worst."""
     wanted = ELSEWHERE.get(label, [(label.replace("reference", "reference-2"), "station-family", "9")])
     rows = table(HERE / "training" / "rows" / "judged_station_family.csv")
     sets = [[r for r in rows if (r["water"], r["controller"], r["seed"]) == one] for one in wanted]

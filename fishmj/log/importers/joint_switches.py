@@ -67,9 +67,7 @@ def _exchanged(t: np.ndarray, angles: Table) -> tuple[int, list[str]]:
     rows = np.flatnonzero(even & whole & (jumps.sum(axis=0) > 1))
     rows = rows[np.diff(rows, prepend=-9) > 2]
     others = even.copy()
-    others[(rows[:, None] + np.arange(3)).clip(max=len(even) - 1)] = (
-        False  # the lines of the next two rows begin before the switch
-    )
+    others[(rows[:, None] + np.arange(3)).clip(max=len(even) - 1)] = False  # the next two rows' lines begin before the switch
     if not 0 < len(rows) <= OFTEN or not others.any():
         return 0, []
     worst, reach = float(own[:, others].max()), max(20, round(0.5 / float(np.median(step))))
