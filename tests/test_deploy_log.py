@@ -13,7 +13,7 @@ import pytest
 from fishmj.base import console
 from fishmj.base.errors import LogError, StoreError
 from fishmj.deploy.__main__ import main
-from fishmj.deploy.link.mcap_out import write
+from fishmj.deploy.commands.swim_command import write_mcap
 from fishmj.deploy.loop.journal import Journal
 from fishmj.deploy.loop.observation import Pose
 from fishmj.deploy.loop.pilot import PlayedPilot
@@ -164,7 +164,7 @@ def test_a_swim_goes_out_as_mcap(tmp_path):
 
     bench = Bench(tmp_path / "swim", seconds=1.0)
     bench.swim()
-    out = write(bench.folder, load_robot("fish"))
+    out = write_mcap(bench.folder, load_robot("fish"))
     with open(out, "rb") as file:
         summary = make_reader(file).get_summary()
     topics = {channel.topic for channel in summary.channels.values()}

@@ -9,8 +9,8 @@ import pytest
 
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.deploy.commands import monitor_command
+from fishmj.deploy.commands.monitor_command import drawn
 from fishmj.deploy.monitor.monitor import BLOCK, Blocks, Monitor, reference_of, said
-from fishmj.deploy.monitor.picture import drawn
 from fishmj.deploy.monitor.statistics import Cusums, learn, long_run_deviation, run_length, threshold
 from fishmj.log import Trial, write_trial
 from fishmj.mjcf.reading import load_robot
@@ -167,7 +167,7 @@ def test_the_command_says_what_it_needs(tmp_path, healthy, capsys):
 
 
 def test_the_monitor_needs_no_heavy_package():
-    code = "import sys; import fishmj.deploy.commands.monitor_command, fishmj.deploy.monitor.picture; print(*sys.modules)"
+    code = "import sys; import fishmj.deploy.commands.monitor_command; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     heavy = {"jax", "mujoco", "numba", "warp", "scipy", "matplotlib", "torch", "dm_control"}
     assert heavy.isdisjoint(done.stdout.split())

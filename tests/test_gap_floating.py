@@ -8,7 +8,7 @@ import pytest
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.gap.bench import robot_cases, robot_rows
+from fishmj.gap.bench import robot_bench, robot_cases
 from fishmj.gap.commands import next_robot
 from fishmj.gap.commands.admit_robot import POSES, _posed, mistakes, refuse_mistakes
 from fishmj.gap.commands.apply_robot import changed
@@ -441,7 +441,7 @@ def test_quadrotors_of_the_benchmark_carry_their_own_effects(tmp_path):
 @pytest.mark.slow
 def test_search_names_the_hidden_centre_of_a_quadrotor(tmp_path):
     case = robot_cases.RobotCase("one", "single", "mujoco", QUADROTOR, ("com_offset",), 12)
-    row = robot_rows.judge_set(tmp_path, robot_cases.make_set(tmp_path, case))
+    row = robot_bench.judge_set(tmp_path, robot_bench.DataSet(robot_cases.make_set(tmp_path, case)))
     assert row["answer"] == "NAMED" and [e["name"] for e in row["said"]] == ["com_offset@b1"]
     truth, found = row["truth"]["com_offset@b1"], row["said"][0]["values"]
     assert np.hypot(truth["x"] - found["x"][0], truth["y"] - found["y"][0]) < 0.002

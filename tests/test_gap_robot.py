@@ -9,9 +9,9 @@ from robot_arm import ARM, edited, swing, trials_of, write_logs
 
 from fishmj import effects
 from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.store import sha256
 from fishmj.gap.commands import check, find, reported
 from fishmj.gap.commands.apply_robot import apply_robot, changed, next_version
-from fishmj.gap.commands.find_robot import digest
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
@@ -354,7 +354,7 @@ def step_from(m) -> np.ndarray:
 
 
 def verdict_of(arm, answer: str, *found: dict, **each: str) -> dict:
-    context = {"model": str(arm.path), "model_sha256": digest(arm.path)}
+    context = {"model": str(arm.path), "model_sha256": sha256(arm.path)}
     gaps = {"gap_before": 9.0, "gap_after": 1.0, "over_floor": {"searched": [5.0, 1.0]}}
     return {"answer": answer, "effects": list(found), "context": context, "by_effect": each} | gaps
 

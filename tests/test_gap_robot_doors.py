@@ -12,12 +12,13 @@ import robot_recordings
 from robot_arm import ARM, edited, write_logs
 
 from fishmj.base.errors import ConfigError, LogError, MissingExtra, UnknownName, UsageError
+from fishmj.base.store import sha256
 from fishmj.gap.calibrate import robot_command
 from fishmj.gap.calibrate.robot_fit import described, fit_robot
 from fishmj.gap.commands import check, next_experiment
 from fishmj.gap.commands.admit_robot import _of_angles, doubts, mistakes, refuse_mistakes, undone
 from fishmj.gap.commands.check_robot import ratio_of
-from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, read_logs
+from fishmj.gap.commands.find_robot import columns_of, logs_digest, read_logs
 from fishmj.gap.models.robot_description import is_robot, read_robot, robot_file
 from fishmj.gap.models.robot_excitation import FAMILIES, rest_of, safe_experiments
 from fishmj.gap.records.robot_logs import guess_columns, log_files, read_robot_logs, read_sheet
@@ -72,7 +73,7 @@ def test_version_that_is_no_better_fails(arm, sticky_logs, folder, capsys):
 
 def test_version_beside_its_report_is_judged_on_logs_set_aside(arm, sticky_logs, tmp_path, capsys):
     version = written(tmp_path / "arm.v2.xml", edited(elbow_joint='frictionloss="0.06"'))
-    context = {"model": str(arm), "model_sha256": digest(arm), "judged": ["swing1"]}
+    context = {"model": str(arm), "model_sha256": sha256(arm), "judged": ["swing1"]}
     context["data_sha256"] = logs_digest(log_files(sticky_logs))
     verdict = {"answer": "NAMED", "effects": [], "context": context, "gap_before": 9.0, "gap_after": 1.0}
     (tmp_path / "verdict.json").write_text(json.dumps(verdict))
@@ -367,7 +368,7 @@ def test_arm_that_would_hit_a_plate_moves_less(folder):
 
 def class_of(arm, effect, rival):
     found = [{"name": effect[0], "parameters": {effect[1]: {"value": effect[2], "low": effect[2], "high": effect[2]}}}]
-    context = {"model": str(arm), "model_sha256": digest(arm)}
+    context = {"model": str(arm), "model_sha256": sha256(arm)}
     rivals = [{"name": rival, "instead_of": effect[0], "p_best": 0.4}]
     return {"answer": "CLASS", "effects": found, "rivals": rivals, "context": context, "gap_before": 9.0, "gap_after": 1.0}
 

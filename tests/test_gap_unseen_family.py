@@ -11,11 +11,11 @@ from fishmj.gap.bench.bench_rows import read_rows
 from fishmj.gap.commands import find
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import launch_error, structural_error
+from fishmj.gap.null import structural_error
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search import healthy_swims
-from fishmj.gap.search.likelihood import Likelihood
+from fishmj.gap.search.likelihood import Likelihood, launch_factors
 from fishmj.gap.thresholds import frozen
 from fishmj.mjcf.reading import load_robot
 from studies.gap_benchmark import gates_again
@@ -93,7 +93,7 @@ def test_stated_launch_uncertainty_absorbs_a_wrong_launch_speed():
         told = replace(trial, meta=trial.meta | {"push": [u - off, v, r], "push_sigma": [sigma, 0.0, 0.0]})
         record = record_of(told, model.dt)
         layout = ResidualLayout([record])
-        moved = launch_error.factors(model, [record], layout)
+        moved = launch_factors(model, [record], layout)
         assert moved.shape == (3 if sigma else 0, layout.size)
         runs = null.residuals(model, [record_of(trial, model.dt)], layout)
         gaps[off, sigma] = Likelihood(model, [record], runs).gap(model.null)[0]

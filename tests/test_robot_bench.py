@@ -9,7 +9,7 @@ import pytest
 from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
-from fishmj.gap.bench import bench_command, robot_bench, robot_cases, robot_rows, robot_thresholds
+from fishmj.gap.bench import bench_command, robot_bench, robot_cases, robot_thresholds
 from fishmj.gap.bench.robot_score import figures, is_right, kind_of, leave_one_out, median_with_bounds, relative_errors
 from fishmj.gap.laboratory.articulated import robot_stand as stands
 from fishmj.gap.laboratory.articulated.bam_servo import friction_budget, servos
@@ -190,7 +190,7 @@ def test_two_cases_are_made_judged_and_kept(tmp_path, monkeypatch, capsys):
         assert len(files) == 2 and (place / "robot.xml").is_file()
         return {"answer": "AGREES", "said": [], "rivals": [], "by_effect": {}}
 
-    monkeypatch.setattr(robot_rows, "answer_of", search)
+    monkeypatch.setattr(robot_bench, "answer_of", search)
     line = ["--generator", "mujoco", "--robots", "pendulum", "--kinds", "none", "--cases", "2", "--seed", "4", "--json"]
     assert bench_command.main([*line, "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -207,9 +207,9 @@ def test_two_cases_are_made_judged_and_kept(tmp_path, monkeypatch, capsys):
 def test_real_search_answers_a_drawn_pendulum(tmp_path, monkeypatch):
     monkeypatch.setattr(robot_cases, "SECONDS", 2.0)
     monkeypatch.setattr(robot_cases, "LOGS", 2)
-    monkeypatch.setitem(robot_rows.AS_SHIPPED, "null_runs", 16)
+    monkeypatch.setitem(robot_bench.AS_SHIPPED, "null_runs", 16)
     told = robot_cases.make_set(tmp_path, robot_cases.RobotCase("a", "none", "mujoco", "pendulum", (), 12))
-    answered = robot_rows.judge_set(tmp_path, console.plain(told))
+    answered = robot_bench.judge_set(tmp_path, robot_bench.DataSet(console.plain(told)))
     assert answered["answer"] in ("AGREES", "NAMED", "CLASS", "UNEXPLAINED"), answered
     assert answered["gates"]["adequacy"] > 0 and len(answered["torque_tolerance"]) == 1 and not answered["broken"]
     again = robot_thresholds.replayed(console.plain(answered), robot_thresholds.SHIPPED._replace(gain=1e9))

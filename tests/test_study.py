@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fishmj.base import console
-from fishmj.gap.measured import significance, term_sizes
+from fishmj.gap.measured import significance, study_build
 from fishmj.gap.measured.decoy_terms import RIVALS
 from fishmj.gap.measured.measured_command import TEMPLATES, main
 from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
@@ -387,9 +387,9 @@ def test_sizes_follow_mass_and_length_by_their_units():
         "N m s/rad": (1, 2),
         "N s3/m3": (1, -2),
     }
-    assert {unit: term_sizes.dimensions(unit) for unit in cases} == cases
-    twice = term_sizes.sized(RIVALS, 2.0, 4.0)
-    assert twice[1].parameters[0].high == RIVALS[1].parameters[0].high * 2 / 4 and term_sizes.sized(RIVALS, 1.0) == list(RIVALS)
+    assert {unit: study_build.dimensions(unit) for unit in cases} == cases
+    twice = study_build.sized(RIVALS, 2.0, 4.0)
+    assert twice[1].parameters[0].high == RIVALS[1].parameters[0].high * 2 / 4 and study_build.sized(RIVALS, 1.0) == list(RIVALS)
 
 
 def test_runs_with_commands_of_their_own_are_those_with_one_command_each():

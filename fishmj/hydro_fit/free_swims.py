@@ -66,6 +66,12 @@ class FreeSwims:
         self.seen = _from(self.fleet, recorded(self.fleet), round(SETTLED / tick))
         self.cruise, self.cruise_track = self._freerun(ch, robot, swim, model)
 
+    def freerun_error(self) -> tuple[float, int]:
+        """(mean distance, m, from the recorded fish at the end of its free run, number of free runs)."""
+        far = np.linalg.norm(self.cruise_track.q[..., :2] - self.cruise.q[:, 1:, :2], axis=-1)
+        last = self.cruise.mask.sum(1).astype(int) - 1
+        return float(far[np.arange(len(far)), last].mean()), len(far)
+
     def _freerun(self, ch, robot, swim, model) -> tuple[FishBatch, SwimTrack]:
         """Repeats the gaits for `FREERUN` s from a recorded state, with the water's memory filled by the record.
 
@@ -124,10 +130,7 @@ def judge(
     got, n = errors(swims, swims.late)
     held = [r for r in records if flaps(r)]
     got["thrust_error"], n["thrust_error"] = thrust_error(partial(model_force, model), robot, held), len(held)
-    far = np.linalg.norm(swims.cruise_track.q[..., :2] - swims.cruise.q[:, 1:, :2], axis=-1)
-    last = swims.cruise.mask.sum(1).astype(int) - 1
-    got["freerun_position_error"] = float(far[np.arange(len(far)), last].mean())
-    n["freerun_position_error"] = len(far)
+    got["freerun_position_error"], n["freerun_position_error"] = swims.freerun_error()
     got["guard_rate"], n["guard_rate"] = float(swims.track.outside.mean()), len(swims.fleet.q)
     mean, seen = (prediction_interval.means(track, swims.fleet) for track in (swims.track, recorded(swims.fleet)))
     cover = prediction_interval.covered(mean, swims.members, seen, model.band)

@@ -8,7 +8,7 @@ lost in the first 0.1 s (docs/search/calibrate.md). No water does that; the camp
 
 The velocity is the slope at `KICK` of a parabola through the camera's poses of the next `SEEN` s. They are taken without noise if
 a noise-free record of the swim exists, else as a laboratory would take them, with the error `push_sigma`
-(`gap.null.launch_error`): of 14 robots' logs about 6 mm/s and 0.03 rad/s.
+(`gap.search.likelihood.launch_factors`): of 14 robots' logs about 6 mm/s and 0.03 rad/s.
 """
 
 from dataclasses import replace

@@ -103,7 +103,7 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
         outcome = _swum(args, robot, controller, pilot, out, wire or wiring.wire, watched)
     if not outcome.cause and outcome.refused:
         raise ConfigError(f"swim: {outcome.words}")
-    mcap = _mcap(out, robot) if args.mcap and outcome.cause else None
+    mcap = write_mcap(out, robot) if args.mcap and outcome.cause else None
     console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else "") if outcome.cause else outcome.words)
     if args.json:
         result: dict[str, Any] = {
@@ -231,10 +231,17 @@ def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired
     return meta if controller else {**meta, "gait": args.gait._asdict()}
 
 
-def _mcap(out: Path, robot: Robot) -> Path:
-    from fishmj.deploy.link.mcap_out import write
+def write_mcap(folder: Path, robot: Robot) -> Path:
+    """Writes FOLDER.mcap beside a trial folder, for Foxglove, with the links of its robot.
 
-    return write(out, robot)
+    Raises MissingExtra: mcap is not installed; StoreError: the file is there, or the disk refuses.
+    """
+    from fishmj.log.export import export
+    from fishmj.mjcf.drawing import solids
+
+    out = folder.with_name(f"{folder.name}.mcap")
+    export(folder, "mcap", out, shape=lambda trial: solids(robot))
+    return out
 
 
 def place(text: str) -> tuple[float, float]:

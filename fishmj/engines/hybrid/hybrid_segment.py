@@ -17,7 +17,7 @@ from fishmj.engines import FishParams, FishState, planar
 from fishmj.engines.hybrid import online_correction
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import planar_chain
-from fishmj.water.dynamics.tolerance import WINDOW, of_movement
+from fishmj.water.dynamics.tolerance import WINDOW, body_rates, of_movement
 from fishmj.water.flow import Current, Flow, shifted
 
 WIDE = 12  # replays side by side; a batch of one size is compiled once
@@ -110,12 +110,6 @@ class Misses:
 
     def __call__(self, factors: np.ndarray, stream: np.ndarray) -> np.ndarray:
         return (self.replay.means(self.segment, factors, stream) - self.seen) / self.wide
-
-
-def body_rates(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Velocity ahead, to the left, and yaw rate, (..., 3), of poses and their rates (..., 3 or more)."""
-    c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
-    return np.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
 
 
 def windows(values: np.ndarray, tick: float) -> np.ndarray:

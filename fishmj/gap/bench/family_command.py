@@ -1,6 +1,5 @@
 """`gap bench --generator` over families: draws, calibrates and searches robots; scores rows of several machines together."""
 
-import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,12 +9,12 @@ from pathlib import Path
 from fishmj.base import console, cost, interrupt
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import write_text
 from fishmj.gap import progress
 from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
 from fishmj.gap.bench.bench_rows import read_rows, same
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
+from fishmj.gap.bench.score import print_score, show_score
 from fishmj.gap.bench.workers import ask_all
 from fishmj.gap.workflow import compile_kernel
 
@@ -28,8 +27,7 @@ A_CASE = 80.0  # s of a core, those included that are not searched
 
 def selected_families(generators: list[str]) -> tuple[str, ...]:
     """The requested families; none for the generators with a benchmark of their own."""
-    wanted = [name for one in generators for name in (families.NAMES if one == ALL else (one,))]
-    return tuple(name for name in families.NAMES if name in wanted)
+    return tuple(name for name in families.NAMES if ALL in generators or name in generators)
 
 
 def bench(args, names: tuple[str, ...]) -> int:
@@ -58,7 +56,7 @@ def rows_and_score(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] 
     )
     rows = judge_robots(todo, args, found, jobs, ask)
     strict = args.strict or not (args.small or args.effects or args.shard[1] > 1)
-    return print_score(rows, args, strict)
+    return print_rows(rows, args, strict)
 
 
 def draw_cases(args, names: tuple[str, ...]) -> list[BenchRobot]:
@@ -76,28 +74,13 @@ def draw_cases(args, names: tuple[str, ...]) -> list[BenchRobot]:
     return todo
 
 
-def print_score(rows: list[dict], args, strict: bool) -> int:
-    """Prints a score. Returns the exit code: 1 if `strict` and an aim is missed."""
-    if any(row.get("times") for row in rows):
-        return print_power(rows, args, strict)
-    result = family_score.score(rows)
-    _print_result(result, family_score.report_lines(result), args)
-    return console.FAILED_CHECK if strict and any(aim["met"] is False for aim in result["aims"]) else console.OK
-
-
-def print_power(rows: list[dict], args, strict: bool) -> int:
-    """Prints the table of power. Returns the exit code: 1 if `strict` and an aim is missed."""
+def print_rows(rows: list[dict], args, strict: bool) -> int:
+    """Prints a score or the table of power. Returns the exit code: 1 if `strict` and an aim is missed."""
+    if not any(row.get("times") for row in rows):
+        return print_score(family_score, rows, args, strict)
     result = power.score(rows)
-    _print_result(result, power.report_lines(result), args)
+    show_score(result, power.report_lines(result), args)
     return console.FAILED_CHECK if strict and False in result["met"].values() else console.OK
-
-
-def _print_result(result: dict, lines: list[str], args) -> None:
-    if args.out:
-        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
-    console.say(*lines)
-    if args.json:
-        console.emit_json(result)
 
 
 def together(folders: list[Path], args) -> int:
@@ -117,7 +100,7 @@ def together(folders: list[Path], args) -> int:
                 raise ConfigError(
                     f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark at a time"
                 )
-    return print_score(list(rows.values()), args, not args.small or args.strict)
+    return print_rows(list(rows.values()), args, not args.small or args.strict)
 
 
 def hiding_any(one: BenchRobot, effects: tuple[str, ...]) -> BenchRobot:

@@ -1,8 +1,30 @@
 """Score of the rows of a benchmark, each share with its 95 % bounds (Clopper & Pearson 1934)."""
 
+import json
+from types import ModuleType
+
 import numpy as np
 
+from fishmj.base import console
+from fishmj.base.store import write_text
+
 DETECTABLE = 5.0  # true gap from which naming is expected
+
+
+def show_score(result: dict, lines: list[str], args) -> None:
+    """Keeps a score in `args.out`, and prints it."""
+    if args.out:
+        write_text(args.out / "score.json", json.dumps(console.plain(result), indent=1))
+    console.say(*lines)
+    if args.json:
+        console.emit_json(result)
+
+
+def print_score(scoring: ModuleType, rows: list[dict], args, strict: bool) -> int:
+    """Prints the score by a module with `score` and `report_lines`. Returns the exit code: 1 if `strict` and an aim is missed."""
+    result = scoring.score(rows)
+    show_score(result, scoring.report_lines(result), args)
+    return console.FAILED_CHECK if strict and any(aim["met"] is False for aim in result["aims"]) else console.OK
 
 
 def bounds(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:

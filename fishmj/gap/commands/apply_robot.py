@@ -15,7 +15,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_bytes, write_text
-from fishmj.gap.commands.find_robot import digest
+from fishmj.gap.commands.find_robot import searched_model
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.callback_module import BeyondFields, module_text, stem_of
 from fishmj.gap.models.rigid_robot import AT
@@ -30,9 +30,7 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     Raises:
         ConfigError: the description changed since the search, an effect of a sensor, or a file exists.
     """
-    path = Path(verdict["context"]["model"])
-    if not path.is_file() or digest(path) != verdict["context"]["model_sha256"]:
-        raise ConfigError(f"{path}: changed since the search, or gone; search again, or restore the model it questioned")
+    path = searched_model(verdict)
     answer, each = verdict["answer"], verdict["by_effect"]
     named = [e for e in verdict["effects"] if force or each.get(e["name"], answer) == "NAMED"]
     told = {"path": None, "accepted": False, "gap_before": verdict["gap_before"], "gap_after": verdict["gap_after"], "mjcf": ""}

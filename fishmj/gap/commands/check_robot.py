@@ -15,10 +15,11 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.store import sha256
 from fishmj.gap import progress
 from fishmj.gap.commands import reported
 from fishmj.gap.commands.admit_robot import refuse_mistakes
-from fishmj.gap.commands.find_robot import columns_of, digest, logs_digest, refuse_fish_options
+from fishmj.gap.commands.find_robot import columns_of, logs_digest, refuse_fish_options
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
@@ -87,7 +88,7 @@ def _searched(version: Path) -> Any:
     if found is None:
         raise ConfigError(f"gap check: no verdict.json of a robot beside {version}; name its parent with --parent robot.xml")
     context = reported.RobotContext.model_validate(found["context"])
-    if not Path(context.model).is_file() or digest(Path(context.model)) != context.model_sha256:
+    if not Path(context.model).is_file() or sha256(Path(context.model)) != context.model_sha256:
         raise ConfigError(f"{context.model}: changed since the search, or gone; name the version's parent with --parent")
     return context
 

@@ -13,7 +13,7 @@ import numpy as np
 from fishmj.base import console, interrupt
 from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.base.store import write_json
+from fishmj.base.store import sha256, write_json
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.decide.indistinguishable import with_indistinguishable
@@ -167,9 +167,12 @@ def robot_gates() -> Gates:
     return replace(frozen(), rival_margin_abs=own.lead, **asked)
 
 
-def digest(path: Path) -> str:
-    """sha256 of a description's text."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def searched_model(verdict: dict) -> Path:
+    """The description that a search questioned. verdict: of verdict.json. Raises ConfigError: it changed since then."""
+    path = Path(verdict["context"]["model"])
+    if not path.is_file() or sha256(path) != verdict["context"]["model_sha256"]:
+        raise ConfigError(f"{path}: changed since the search, or gone; search again, or restore the model it questioned")
+    return path
 
 
 def logs_digest(files: list[Path]) -> str:
@@ -181,7 +184,7 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
     """Inputs of the search, and the logs outside every decision (or outside every fit), for gap apply and gap check."""
     return {
         "model": str(robot.path.resolve()),
-        "model_sha256": digest(robot.path),
+        "model_sha256": sha256(robot.path),
         "data": str(args.data.resolve()),
         "data_sha256": logs_digest(files),
         "judged": inquiry.judged,

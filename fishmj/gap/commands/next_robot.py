@@ -22,7 +22,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.store import write_text
 from fishmj.gap import progress
 from fishmj.gap.commands import reported
-from fishmj.gap.commands.find_robot import digest, read_logs, refuse_fish_options
+from fishmj.gap.commands.find_robot import read_logs, refuse_fish_options, searched_model
 from fishmj.gap.experiment import ENOUGH, OPEN
 from fishmj.gap.models.rigid_robot import AT, RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, is_robot, read_robot
@@ -105,10 +105,7 @@ def _asked(args: Any) -> tuple[RobotDescription, dict | None, list[RobotRecord]]
         robot, _, trials, _ = read_logs(given)
         return robot, None, robot_records(trials, robot.dt, robot.channels)
     verdict = reported.robot_verdict(args.source) or {}
-    path = Path(verdict["context"]["model"])
-    if not path.is_file() or digest(path) != verdict["context"]["model_sha256"]:
-        raise ConfigError(f"{path}: changed since the search, or gone; search again, or restore the model it questioned")
-    return read_robot(path), verdict, []
+    return read_robot(searched_model(verdict)), verdict, []
 
 
 def pairs_of(verdict: dict) -> list[tuple[str, str]]:

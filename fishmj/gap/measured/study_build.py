@@ -4,15 +4,18 @@ built(read_study("my.toml"))
 shipped("tail_fish")          a study that comes with fishmj, with its data in the folder FISHMJ_MEASURED
 """
 
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fishmj.base.errors import LogError, UnknownName
-from fishmj.effects.effect import Effect
-from fishmj.gap.measured import coast_down, study_body, study_servo, term_sizes
+from fishmj.effects.effect import Effect, Parameter
+from fishmj.gap.measured import coast_down, study_body, study_servo
 from fishmj.gap.measured.planar_body import Hull, PlanarBody
 from fishmj.gap.measured.servo_model import OneServo, ServoMotor
 from fishmj.gap.measured.study import Study
@@ -23,6 +26,7 @@ from fishmj.log.limits import bare, quoted
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
 FAR = 1e4  # mean square of the nominal model's error over that of what was measured: no guess is so far off
+MASS, INERTIA, STALL = 0.725, 2.66e-3, 0.7  # kg, kg m2, N m: fish and servo of the sizes in the catalogue
 TURN = 0.3  # prior of a constant, as a share of it
 
 
@@ -100,7 +104,7 @@ def _terms(study: StudyInput, mass: float, length: float = 1.0) -> list[Effect]:
     chosen = [e for e in chosen if e.name not in c.leave_out]
     if len(chosen) < 2:
         raise LogError(f"{study.where} [candidates]: {len(chosen)} left, expected two at least; a term has to beat another")
-    return term_sizes.sized(chosen, mass, length)
+    return sized(chosen, mass, length)
 
 
 def _constants(study: StudyInput) -> tuple[Constant, ...]:
@@ -151,7 +155,7 @@ def _body(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stud
     given, p = study.given, study.given.prediction
     records, dt = study_body.records(study, logs, groups)
     hull = Hull(**{name: given.nominal.get(name, 0.0) for name in Hull._fields})
-    terms = _terms(study, *term_sizes.of_body(hull.mass, hull.inertia))
+    terms = _terms(study, *of_body(hull.mass, hull.inertia))
     plant = PlanarBody(hull, _constants(study), terms, dt, given.baseline.drive)
     noise = study_body.smoothed_noise(study, p.step or study_body.even_step(logs))
     records = study_body.with_scale(records, noise[0])
@@ -191,7 +195,7 @@ def _servo(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
     dt = study_servo.step(study, logs)
     records = study_servo.records(study, logs, groups, dt)
     motor = ServoMotor(**{name: nominal[name] for name in ServoMotor._fields})
-    terms = _terms(study, motor.stall / term_sizes.STALL)
+    terms = _terms(study, motor.stall / STALL)
     centred = not study.given.prediction.as_logged
     plant = OneServo(motor, study_servo.rig(study), _constants(study), terms, dt, centred)
     whole = "whole logs" if not study.given.prediction.horizon else f"runs of {study.given.prediction.horizon:g} s"
@@ -223,7 +227,7 @@ def _coast(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
     records = coast_down.records(study, logs, groups, dt)
     rest = dict.fromkeys(Hull._fields, 0.0) | {"inertia": 1.0}
     hull = Hull(**(rest | {k: v for k, v in nominal.items() if k in rest}))
-    mass = hull.mass / term_sizes.MASS
+    mass = hull.mass / MASS
     terms = _terms(study, mass, mass ** (1 / 3))
     plant = coast_down.CoastDown(hull, _constants(study), terms, coast_down.range_of(records), dt)
     return _study(
@@ -243,3 +247,38 @@ def _coast(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
             "error: rms of measured minus simulated speed; the speed at the start of each coast is fitted to it under every law",
         ),
     )
+
+
+def dimensions(unit: str) -> tuple[int, int]:
+    """Powers of kg and m of a unit such as "N s2/m2"."""
+    mass = length = 0
+    top, _, bottom = unit.partition("/")
+    for text, sign in ((top, 1), (bottom, -1)):
+        for symbol, power in re.findall(r"(kg|N|m)(\d?)(?![a-z])", text):
+            n = sign * int(power or 1)
+            mass += n if symbol in ("kg", "N") else 0
+            length += n if symbol in ("m", "N") else 0
+    return mass, length
+
+
+def sized(terms: Iterable[Effect], mass: float, length: float = 1.0) -> list[Effect]:
+    """The same terms for a body `mass` times as heavy and `length` times as long: bounds and typical sizes scale, times stay.
+
+    They scale by the powers in their units: N s2/m2 = kg/m times mass / length, N m s = kg m2/s times mass length^2.
+    """
+    if mass == length == 1.0:
+        return list(terms)
+    return [replace(e, parameters=tuple(_scaled(p, mass, length) for p in e.parameters)) for e in terms]
+
+
+def _scaled(p: Parameter, mass: float, length: float) -> Parameter:
+    if p.null:  # such as a torque that means "no limit": the formula knows it as a number
+        return p
+    kg, m = dimensions(p.unit)
+    k = mass**kg * length**m
+    return replace(p, low=k * p.low, high=k * p.high, typical=(k * p.typical[0], k * p.typical[1]))
+
+
+def of_body(mass: float, inertia: float) -> tuple[float, float]:
+    """(mass, length) over those of the fish."""
+    return mass / MASS, math.sqrt((inertia / INERTIA) / (mass / MASS))

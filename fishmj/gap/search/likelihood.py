@@ -6,7 +6,7 @@ S comes from the null runs (null/whitening.py) and depends on the point of linea
 responds differently to its constants:
 
     S(theta) = F^T F + D,   F: null runs through the sensors of theta; the structural error (null/structural_error.py); the
-                            error of a launch (null/launch_error.py); the change of the constants' tangents with theta
+                            error of a launch (`launch_factors`); the change of the constants' tangents with theta
                             D: residual variance of the null runs, structural error, the nonlinear part of the response to the
                             constants, and model error (form c)^2, where c is the change that the effects make
                             (model_error.py)
@@ -27,7 +27,7 @@ from copy import copy
 import numpy as np
 
 from fishmj.gap.models.rigid_robot import RigidRobot
-from fishmj.gap.null import launch_error, structural_error
+from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import StructuralErrorScales
 from fishmj.gap.null.whitening import as_sensed, changes_sensing, leftover, record_whitening, smooth, whitening
 from fishmj.gap.progress import Bars, silent_bar
@@ -84,7 +84,7 @@ class Likelihood:
         self.calibrated = structural_error.applies(model)
         self.measured = self.calibrated or isinstance(model, RigidRobot)
         self._null_scatter = np.mean(null**2, 0) if self.measured else 0.0
-        self._launches = launch_error.factors(model, records, self.layout)
+        self._launches = launch_factors(model, records, self.layout)
         self._cover(null, structural_error.widths() if widths is None else widths)
 
     def _cover(self, null: np.ndarray, widths: StructuralErrorScales, moved: "structural_error.Tangents | None" = None) -> None:
@@ -407,3 +407,26 @@ def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:
     totals = weights @ per_record.T
     winners = totals == totals.min(1, keepdims=True)  # effects that are the same by construction share a draw
     return np.mean(winners / winners.sum(1, keepdims=True), 0)
+
+
+def launch_factors(model, records: list[Record], layout: ResidualLayout) -> np.ndarray:
+    """(K, m) c of every record that states the error of its launch: `push_sigma` of `push`, one standard deviation of each.
+
+        S += sum_k c_k c_k^T        c_k = residual at push + sigma_k e_k less that at push: surge, sway [m/s], yaw rate [rad/s]
+
+    A carriage's own speed needs none. A velocity from the camera is known to a centimetre a second, and its error grows along
+    the path.
+    """
+    row = np.asarray(getattr(model, "nothing", model.null))[None]
+    found = [np.zeros((0, layout.size))]
+    for i, record in enumerate(records):
+        sigma = np.asarray(record.push_sigma, float)
+        if not sigma.any():
+            continue
+        others = [record._replace(push=record.push + step) for step in np.diag(sigma)]
+        alone = ResidualLayout([record])
+        seen = np.nan_to_num([alone.residuals([one])[0] for one in model.predict([record, *others], row)])
+        moved = np.zeros((len(sigma), layout.size))
+        moved[:, layout.record == i] = seen[1:] - seen[0]
+        found.append(moved)
+    return np.concatenate(found)

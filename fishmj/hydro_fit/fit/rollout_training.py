@@ -31,7 +31,7 @@ from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain, strip_forces
-from fishmj.water.dynamics.tolerance import TOLERANCE, of_movement
+from fishmj.water.dynamics.tolerance import TOLERANCE, body_rates, of_movement
 
 BURN, WINDOW = 1.2, 0.2  # s: of recorded motion before a piece, of the means that are compared
 CLIP, POWER = 6.0, 0.3
@@ -166,7 +166,7 @@ class RolloutTrainer:
             whole = a.shape[1] // size * size
             return a[:, :whole].reshape(len(a), -1, size, *a.shape[2:]).mean(2)
 
-        got, recorded = mean(_body(q, v)), mean(_body(fleet.q[:, 1:], fleet.v[:, 1:]))
+        got, recorded = mean(body_rates(q, v, jnp)), mean(body_rates(fleet.q[:, 1:], fleet.v[:, 1:], jnp))
         (part, least), spent, wanted = TOLERANCE["power"], mean(power), mean(fleet.power)
         # nan if no power was recorded: such windows have no weight
         off = (spent - wanted) / (part * jnp.abs(wanted) + FLOORS * least)
@@ -174,7 +174,7 @@ class RolloutTrainer:
 
     def means(self, q, v, fleet: FishBatch):
         """Errors of movement over whole pieces, (P, 3), in tolerances."""
-        got, recorded = _body(q, v).mean(1), _body(fleet.q[:, 1:], fleet.v[:, 1:]).mean(1)
+        got, recorded = body_rates(q, v, jnp).mean(1), body_rates(fleet.q[:, 1:], fleet.v[:, 1:], jnp).mean(1)
         return (got - recorded) / (_tolerated(recorded, 1.0) * np.array([1.0, 1.0, TURN], np.float32))
 
     def thrust_errors(self, net: residual_network.Net, tethered: TetheredRecords):
@@ -231,12 +231,6 @@ class RolloutTrainer:
                 report(k + 1, steps, float(value))
             loop.after(k + 1, (net, state))
         return residual_network.without(jax.tree.map(np.asarray, net), **self.ablated)
-
-
-def _body(q, v):
-    """Velocity ahead and to the left, and yaw rate, (P, T, 3)."""
-    c, s = jnp.cos(q[..., 2]), jnp.sin(q[..., 2])
-    return jnp.stack([c * v[..., 0] + s * v[..., 1], c * v[..., 1] - s * v[..., 0], v[..., 2]], -1)
 
 
 def _tolerated(recorded, floors: float):

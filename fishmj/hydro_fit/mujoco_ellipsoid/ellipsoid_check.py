@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit.gauss_newton import flaps
 from fishmj.hydro_fit.fit.rollout import fish_batch_of, is_free, recorded
@@ -46,7 +44,5 @@ def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict
     held = [r for r in records if flaps(r)]
     force_of = lambda ch, rows, tick: forces(water.ellipsoids, rows, water.flat, water.inertia, tick)
     got["thrust_error"], n["thrust_error"] = free_swims.thrust_error(force_of, robot, held), len(held)
-    far = np.linalg.norm(swims.cruise_track.q[..., :2] - swims.cruise.q[:, 1:, :2], axis=-1)
-    last = swims.cruise.mask.sum(1).astype(int) - 1
-    got["freerun_position_error"], n["freerun_position_error"] = float(far[np.arange(len(far)), last].mean()), len(far)
+    got["freerun_position_error"], n["freerun_position_error"] = swims.freerun_error()
     return {"figures": got, "n": n, "freerun_s": float(swims.cruise.mask.sum(1).min() * records[0].tick)}

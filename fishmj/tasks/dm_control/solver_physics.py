@@ -1,4 +1,4 @@
-"""dm_control `Physics` of a fish in the flow solver.
+"""dm_control `Physics` of a fish in the flow solver, and of one in a fitted water that the solver corrects while it swims.
 
 The solver moves its own copy of the fish, one bus tick at a time. MuJoCo's data here take over its pose and velocity, so that
 observations, rendering and named accessors work as in every other water. Each episode fills a tank of its own and first holds
@@ -12,7 +12,7 @@ from dm_control.rl import control
 
 from fishmj import engines
 from fishmj.base.errors import ConfigError
-from fishmj.engines import FishParams
+from fishmj.engines import FishParams, FishState
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.tasks.dm_control.physics import Physics
@@ -80,3 +80,40 @@ class SolverPhysics(Physics):
 
 
 __all__ = ["SolverPhysics"]
+
+
+class HybridPhysics(Physics):
+    """A fish with corrected water; make one with `HybridPhysics.corrected`. Every episode begins with the water as fitted.
+
+    Attributes:
+        hybrid: the corrections (`fishmj.engines.hybrid.Hybrid.report`).
+    """
+
+    hybrid: Any
+    alone = "the water hybrid"
+
+    @classmethod
+    def corrected(cls, rules: TaskSpec, options: Any = None) -> "HybridPhysics":
+        """Straight fish; options: `fishmj.engines.hybrid.HybridOptions`."""
+        from fishmj.engines.hybrid import Hybrid
+
+        setting = rules.setting
+        physics = cls.of(rules.robot)
+        kind = Flow(turbulence=setting.turbulence, box=BOXES[setting.box])
+        physics.hybrid = Hybrid(rules.robot, options, kind=kind)
+        physics._given = physics.swim.params, physics.swim.current
+        return physics
+
+    def begin(self, pose, params: FishParams, current: Current) -> None:
+        """Starts an episode as `Physics.begin`, without corrections."""
+        super().begin(pose, params, current)
+        self._given = params, current
+        self.hybrid.reset()
+
+    def _next_tick(self) -> None:
+        s, data, water = self.swim, self.data, self.water
+        batch = lambda values: np.array([values], float)
+        fish = FishState(batch(data.qpos), batch(data.qvel), batch(water.attached), s.buffer, batch(water.memory))
+        s.params, s.current = self.hybrid.tick(fish, *self._given, s.step // s.steps)
+        water.set_fish(s.params)
+        super()._next_tick()

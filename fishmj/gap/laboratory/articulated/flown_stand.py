@@ -18,7 +18,7 @@ from fishmj.gap.laboratory.articulated.flown_faults import FLOWN
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion, with_hidden
 from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, tolerances, within_tolerance
-from fishmj.gap.laboratory.articulated.robot_stand import HEALTHY, SEGMENT, SLOW, Channel, pushes, timing_of
+from fishmj.gap.laboratory.articulated.robot_stand import SEGMENT, SLOW, Channel, over_scatter, pushes, pushes_at, timing_of
 
 REACH, TONES = 0.7, (0.12, 0.6)  # m; Hz of places
 WIGGLE, QUICK = 0.12, (0.8, 2.2)  # rad; Hz of roll and pitch
@@ -117,7 +117,7 @@ def fly(plant: Any, described: RobotPlan, reference: FlightReference, stand: Flo
     pilot, channel = FlightController(described, reference, stand.tick), Channel(timing, rng)
     plant.start(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(6))
     grid = h * np.arange(ticks * every + 1)
-    causeless = _between(push, grid)
+    causeless = pushes_at(push, grid)
     states = np.zeros((len(grid), 13))
     states[0, 3] = 1.0
     noise = rng.standard_normal((ticks, 6)) * np.repeat([stand.place, stand.turn], 3)
@@ -144,11 +144,6 @@ def fly(plant: Any, described: RobotPlan, reference: FlightReference, stand: Flo
     return FlownLog(stamps, np.array(sent[:kept]), readings, told[:, :7], told, np.array(wrench[:kept]))
 
 
-def _between(push: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    knots = tolerances()["spacing"] * np.arange(len(push))
-    return np.stack([np.interp(grid, knots, column) for column in push.T], 1)
-
-
 def _seen(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Pose (.., 7) with noise (.., 6) of place and turn."""
     turn = Rotation.from_quat(pose[..., 3:], scalar_first=True) * Rotation.from_rotvec(noise[..., 3:])
@@ -158,7 +153,7 @@ def _seen(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
 def replay(plant: Any, log: FlownLog, stand: FlownStand, push: np.ndarray) -> np.ndarray:
     """(K, 7) poses under the logged commands, each segment from the logged state."""
     every, length = round(stand.tick / plant.h), round(SEGMENT / stand.tick)
-    causeless = _between(push, plant.h * np.arange(len(log.t) * every))
+    causeless = pushes_at(push, plant.h * np.arange(len(log.t) * every))
     out = np.empty_like(log.clean)
     for k in range(len(log.t)):
         if k % length == 0:
@@ -212,18 +207,6 @@ def flown_visibility(
     build: Build, described: RobotPlan, stand: FlownStand, usual: UsualMotion, seed: int, logs: list[FlownLog]
 ) -> float:
     """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest."""
-    same = within_tolerance(described, np.random.default_rng([seed, 32]))
-    squares, scatter, count = np.zeros(6), np.zeros(6), 0
-    for i, log in enumerate(logs[:2]):
-        first = pushes(usual, stand.seconds, np.random.default_rng([seed, 33, i]))
-        healthy = replay(build(same, {}), log, stand, first)
-        others = [np.zeros((len(log.t), 6))]
-        for n in range(HEALTHY):
-            rng = np.random.default_rng([seed, 34, n, i])
-            other = replay(build(within_tolerance(described, rng), {}), log, stand, pushes(usual, stand.seconds, rng))
-            others.append(apart(other, healthy))
-        squares += np.sum(apart(log.clean, healthy) ** 2, 0)
-        scatter += np.sum(np.var(np.stack(others), 0, ddof=1), 0)
-        count += len(log.t)
     noise = np.repeat([stand.place, stand.turn], 3) ** 2
-    return float(np.max(squares / count / (scatter / count + noise)))
+    replayed = lambda plan, log, push: replay(build(plan, {}), log, stand, push)
+    return over_scatter(replayed, apart, noise, described, stand.seconds, usual, seed, logs)

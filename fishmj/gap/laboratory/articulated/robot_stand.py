@@ -80,14 +80,8 @@ class SwingReference:
 
 def references(plan: RobotPlan, seed: int, logs: int) -> list[SwingReference]:
     """Reference of each log of a session."""
-    return [
-        SwingReference(plan, np.random.default_rng([seed, 31, i]), reach)
-        for i, reach in zip(range(logs), _reaches(logs), strict=True)
-    ]
-
-
-def _reaches(logs: int) -> np.ndarray:
-    return np.linspace(0.6, 1.1, logs)
+    reaches = np.linspace(0.6, 1.1, logs)
+    return [SwingReference(plan, np.random.default_rng([seed, 31, i]), reach) for i, reach in enumerate(reaches)]
 
 
 def usual_motion(plan: RobotPlan, seed: int, stand: Stand) -> UsualMotion:
@@ -213,11 +207,9 @@ def run(
     ticks = kept + int(SLOW * kept) + 2  # a slow clock's log ends later
     host, channel = Host(described, reference, stand.tick), Channel(timing, rng)
     plant.start(reference.at(0.0)[0], np.zeros(joints))
-    spacing = tolerances()["spacing"]
-    knots = spacing * np.arange(len(push))
     states = np.zeros((ticks * every + 1, 2, joints))
     grid = h * np.arange(len(states))
-    causeless = np.stack([np.interp(grid, knots, column) for column in push.T], 1)
+    causeless = pushes_at(push, grid)
     states[0] = plant.q, plant.v
     noise = stand.noise * rng.standard_normal((ticks, joints))
     shift = timing.zero if not plan.torques else 0.0  # a servo closes its loop on its encoder
@@ -258,13 +250,16 @@ def pushes(usual: UsualMotion, seconds: float, rng: np.random.Generator) -> np.n
     return sigma["torque"] * usual.torque * rng.standard_normal((n, len(usual.torque)))
 
 
+def pushes_at(push: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Pushes (n, J), every spacing, at times (T,) s: (T, J)."""
+    knots = tolerances()["spacing"] * np.arange(len(push))
+    return np.stack([np.interp(times, knots, column) for column in push.T], 1)
+
+
 def replay(plant: Any, log: LogRun, stand: Stand, push: np.ndarray) -> np.ndarray:
     """(K, J) angles under the logged commands, each segment from the logged state."""
-    every, h = round(stand.tick / plant.h), plant.h
-    length = round(SEGMENT / stand.tick)
-    knots = tolerances()["spacing"] * np.arange(len(push))
-    grid = h * np.arange(len(log.t) * every)
-    torque = np.stack([np.interp(grid, knots, column) for column in push.T], 1)
+    every, length = round(stand.tick / plant.h), round(SEGMENT / stand.tick)
+    torque = pushes_at(push, plant.h * np.arange(len(log.t) * every))
     out = np.empty_like(log.clean)
     for k in range(len(log.t)):
         if k % length == 0:
@@ -292,17 +287,28 @@ def visibility(
     """Mean square of what is hidden over noise and the scatter of healthy robots, of the joint where it is largest."""
     if not hidden:
         return 0.0
+    noise = stand.noise**2 + (2.0 * np.pi / stand.counts) ** 2 / 12.0
+    replayed = lambda plan, log, push: replay(build(plan, {}), log, stand, push)
+    return over_scatter(replayed, np.subtract, noise, described, stand.seconds, usual, seed, logs)
+
+
+def over_scatter(
+    replayed: Callable[..., np.ndarray], apart: Callable[..., np.ndarray], noise, described: RobotPlan, seconds: float,
+    usual: UsualMotion, seed: int, logs: list,
+) -> float:  # fmt: skip
+    """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest.
+
+    replayed(plan, log, push) -> readings of a robot without effects. apart(one, other) -> (K, n) their difference. noise: (n,).
+    """
     same = within_tolerance(described, np.random.default_rng([seed, 32]))
     squares, scatter, count = 0.0, 0.0, 0
     for i, log in enumerate(logs[:2]):
-        first = pushes(usual, stand.seconds, np.random.default_rng([seed, 33, i]))
-        healthy = replay(build(same, {}), log, stand, first)
-        others = []
+        healthy = replayed(same, log, pushes(usual, seconds, np.random.default_rng([seed, 33, i])))
+        off = [np.zeros_like(apart(healthy, healthy))]
         for n in range(HEALTHY):
             rng = np.random.default_rng([seed, 34, n, i])
-            others.append(replay(build(within_tolerance(described, rng), {}), log, stand, pushes(usual, stand.seconds, rng)))
-        squares = squares + np.sum((log.clean - healthy) ** 2, 0)
-        scatter = scatter + np.sum(np.var(np.stack([healthy, *others]), 0, ddof=1), 0)
+            off.append(apart(replayed(within_tolerance(described, rng), log, pushes(usual, seconds, rng)), healthy))
+        squares = squares + np.sum(apart(log.clean, healthy) ** 2, 0)
+        scatter = scatter + np.sum(np.var(np.stack(off), 0, ddof=1), 0)
         count += len(log.t)
-    noise = stand.noise**2 + (2.0 * np.pi / stand.counts) ** 2 / 12.0
     return float(np.max(squares / count / (scatter / count + noise)))

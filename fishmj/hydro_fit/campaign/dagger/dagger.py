@@ -30,7 +30,8 @@ from fishmj.base import console, interrupt
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.base.store import read_json, write_json
-from fishmj.hydro_fit.campaign.dagger.surrogate_fish import Surrogate
+from fishmj.engines.extensions import Extensions
+from fishmj.engines.single import SingleFish
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
@@ -43,8 +44,10 @@ from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run_log import flow_at_links
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
+from fishmj.mjcf.servos import arrived_of, on_the_bus
 from fishmj.tasks import station_hold as task
-from fishmj.water.dynamics import planar_chain
+from fishmj.water import residual_hooks
+from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
@@ -53,6 +56,32 @@ LEAST = 0.1  # of the reward at the target: a return near zero, where approach a
 SWIMS = 600.0  # s of swims in a fit
 DRAWS = 10_000  # of a bootstrap
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
+
+
+class Surrogate(SingleFish):
+    """One fish in the strip water, by bus ticks, for roll-outs of a policy. water: coefficients. learnt: a residual, or None."""
+
+    def __init__(
+        self, robot: Robot, ch: planar_chain.Chain, water: strip_forces.Coefficients, *, learnt=None, pose=(0.0, 0.0, 0.0)
+    ):
+        nets = () if learnt is None else (learnt,)
+        added = Extensions(None, np.zeros(0), np.array(residual_hooks.at_rest() if nets else []), nets, robot)
+        super().__init__(ch, planar_chain.nominal(robot)._replace(water=water), added)
+        self.robot, self.steps = robot, round(robot.timing.bus_dt / ch.dt)
+        self.delay = round(robot.timing.command_latency / ch.dt)
+        self.q, self.v = np.array([*pose, *np.zeros(ch.n - 1)], float), np.zeros(ch.n + 2)
+        self.commands, self.ticks = [np.zeros(ch.n - 1)], 0
+
+    def tick(self, command, flow) -> None:
+        """Advances 20 ms after sending `command`, (J,) rad; `flow` (N, 2) m/s at the links."""
+        stream = [tuple(u) for u in np.asarray(flow).tolist()]
+        self.commands.append(on_the_bus(self.robot.servo, np.asarray(command, float)))
+        ramp = self.robot.timing.command_path == "move_time"
+        for i in range(self.steps):
+            target = arrived_of(self.commands, self.ticks * self.steps + i, self.delay, self.steps, ramp)
+            s = self.advance(list(self.q), list(self.v), list(target), stream, (0.0, 0.0))
+            self.q, self.v = np.array(s.q), np.array(s.v)
+        self.ticks += 1
 
 
 class Rollout(NamedTuple):
