@@ -218,7 +218,7 @@ def elsewhere(label: str) -> list[float]:
     sets = [[r for r in rows if (r["water"], r["controller"], r["seed"]) == one] for one in wanted]
     arrived = [(int(column(some, "arrival").sum()), len(some)) for some in sets]
     if all(count == n for count, n in arrived):
-        arrived = [tuple(map(sum, zip(*arrived, strict=True)))]
+        arrived = [(sum(count for count, _ in arrived), sum(n for _, n in arrived))]
     after = [estimate("rmse_after_arrival", column(some, "rmse_after_arrival")) for some in sets]
     rmse = [x.value for x in after] if len(after) > 1 else [after[0].value, after[0].low, after[0].high]
     last = [float(np.nanmean(column(some, "rmse_last20"))) for some in sets]

@@ -37,9 +37,11 @@ def swum(folder: Path, water: str) -> list[dict]:
     _, trace = make("planar", robot).advance(start, commands, nominal_params(robot, n), still, np.zeros(n, int))
     solved = np.array([trial["pose"][: ticks + 1, :2] for trial in trials])
     fitted = np.concatenate([solved[:, :1], np.asarray(trace.pose)[..., :2]], 1)
-    rows, back = [], round(MEAN / tick)
+    rows: list[dict] = []
+    back = round(MEAN / tick)
     for at in TIMES:
-        k, row = round(at / tick), {"t": at, "n": n}
+        k = round(at / tick)
+        row: dict[str, float] = {"t": at, "n": n}
         for name, path in (("solver", solved), ("fitted", fitted)):
             row[f"{name}_path"] = float(np.linalg.norm(path[:, k] - path[:, 0], axis=-1).mean())
             row[f"{name}_speed"] = float(np.linalg.norm(path[:, k] - path[:, k - back], axis=-1).mean() / MEAN)
