@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.control.policy import FORMER
+from fishmj.evaluate.experiments.controller_comparison import gap_closed
 from fishmj.evaluate.metrics import difference, estimate, holm, paired_p
 from fishmj.gap.bench import family_score, power
 
@@ -47,7 +48,7 @@ OF_FAMILIES = {  # row of a page -> key of the families' score
     "intervals that hold": "intervals_hold",
 }
 FAMILIES = ("ellipsoid", "foil", "morison", "second_robot")
-ELSEWHERE = {  # row of a page -> water, policy and seed of the stored trials, one or two of them
+OTHER_WATERS = {  # row of a page -> water, policy and seed of the stored trials, one or two of them
     "reference, seeds 10; 11": [("reference-2", "station-family", "10"), ("reference-2", "station-family", "11")],
     "2 cm, slip 1": [("paper slip 1", "station-family", "9")],
     "1.5 cm, slip 0.985": [("paper 1.5 cm slip 0.985", "station-family", "9")],
@@ -194,7 +195,7 @@ def front_page(label: str) -> list[float]:
 def rivals(label: str) -> list[float]:
     """Controllers that `station-family` beats by both keys, all, and the largest p after Holm: reference, seed 9, paired.
 
-    Then the share [%] that it closes of the gap in RMSE after arrival from the best controller without the flow to `privileged`.
+    Then the share [%], with its interval, of the gap in RMSE after arrival from the best rival to `privileged` that it closes.
     """
     rows = [row for row in table(SOLVED / "judged_reference.csv") if row["water"] == "reference-2" and row["seed"] == "9"]
     trials: dict[str, dict] = {}
@@ -205,15 +206,15 @@ def rivals(label: str) -> list[float]:
         ours, *theirs = (np.array([float(swum[one][key] or "nan") for one in mine]) for swum in (mine, *trials.values()))
         better.append([difference(key, ours, x).low > 0 for x in theirs])
         p += list(holm([paired_p(ours, x) for x in theirs]))
-    means = {name: np.nanmean(column(list(swum.values()), "rmse_after_arrival")) for name, swum in trials.items()}
-    told, ours = means.pop("privileged"), np.nanmean(column(list(mine.values()), "rmse_after_arrival"))
-    best = min(means.values())
-    return [int(np.all(better, 0).sum()), len(trials), max(p), 100 * (best - ours) / (best - told)]
+    key, swims = "rmse_after_arrival", {"station-family": mine} | trials
+    figures = {name: {"figures": {key: column([swum[one] for one in mine], key)}} for name, swum in swims.items()}
+    closed = gap_closed(figures, key)
+    return [int(np.all(better, 0).sum()), len(trials), max(p), *(100 * x for x in (closed.value, closed.low, closed.high))]
 
 
-def elsewhere(label: str) -> list[float]:
+def other_waters(label: str) -> list[float]:
     """`2 cm, slip 1` -> arrivals, trials, RMSE after arrival (one set: its interval), of the last 20 s, by speed, worst."""
-    wanted = ELSEWHERE.get(label, [(label.replace("reference", "reference-2"), "station-family", "9")])
+    wanted = OTHER_WATERS.get(label, [(label.replace("reference", "reference-2"), "station-family", "9")])
     rows = table(HERE / "training" / "rows" / "judged_station_family.csv")
     sets = [[r for r in rows if (r["water"], r["controller"], r["seed"]) == one] for one in wanted]
     arrived = [(int(column(some, "arrival").sum()), len(some)) for some in sets]

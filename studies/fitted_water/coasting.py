@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.engines import at_rest, make, nominal_params
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
@@ -20,14 +21,19 @@ from fishmj.water.flow import Flow, stack
 
 TIMES = (1, 2, 3, 4, 5, 6, 8)  # s
 MEAN = 0.5  # s, over which a speed is a mean
+NEAR = 0.1  # m, of the target
 
 
-def swum(folder: Path, water: str) -> list[dict]:
-    """Mean distance from the start [m] and speed [m/s] at each of TIMES, in the solver and in the fitted water."""
+def solved_trials(folder: Path) -> list[dict]:
+    """Arrays of each trial in still water. Raises ConfigError: there is none."""
     files = sorted((folder / "lbm").glob("*_u0_*.npz"))
     if not files:
-        raise SystemExit(f"{folder}/lbm: no trials at 0 m/s; make them with evaluate --water lbm --speeds 0")
-    trials = [dict(np.load(file)) for file in files]
+        raise ConfigError(f"{folder}/lbm: no trials at 0 m/s; make them with evaluate --water lbm --speeds 0")
+    return [dict(np.load(file)) for file in files]
+
+
+def distances_and_speeds(trials: list[dict], water: str) -> list[dict]:
+    """Mean distance from the start [m] and speed [m/s] at each of TIMES, in the solver and in the fitted water."""
     robot = in_water(load_robot("fish"), water, who="this study")
     tick, n = robot.timing.bus_dt, len(trials)
     ticks = round(max(TIMES) / tick)
@@ -49,21 +55,36 @@ def swum(folder: Path, water: str) -> list[dict]:
     return rows
 
 
+def overshoot(trials: list[dict]) -> dict[str, float]:
+    """Medians in the solver: largest distance after a fish is near its target [m], and time until it stays near [s]."""
+    farthest, settling = [], []
+    for trial in trials:
+        first, last = (int(np.flatnonzero(at)[k]) for at, k in ((trial["distance"] < NEAR, 0), (trial["distance"] >= NEAR, -1)))
+        farthest.append(trial["distance"][first:].max())
+        settling.append(max(trial["t"][last] - trial["t"][first], 0.0))
+    return {"farthest": float(np.median(farthest)), "settling": float(np.median(settling)), "n": len(trials)}
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="--out of evaluate --water lbm")
     parser.add_argument("--water", default="swift-reference", help="fitted water (default: swift-reference)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args(argv)
-    rows = swum(given.folder, given.water)
+    trials = solved_trials(given.folder)
+    rows, after = distances_and_speeds(trials, given.water), overshoot(trials)
     if given.json:
-        console.emit_json({"water": given.water, "rows": rows})
+        console.emit_json({"water": given.water, "rows": rows, "overshoot": after})
         return 0
     for r in rows:
         console.say(
             f"{r['t']} s: {r['solver_path']:.3f} m at {r['solver_speed']:.3f} m/s in the solver,"
             f" {r['fitted_path']:.3f} m at {r['fitted_speed']:.3f} m/s in {given.water}"
         )
+    console.say(
+        f"after it is within {NEAR} m in the solver: {after['farthest']:.2f} m at most, within {NEAR} m for good"
+        f" {after['settling']:.1f} s later (medians of {after['n']})"
+    )
     return 0
 
 

@@ -15,6 +15,10 @@ from fishmj.log.dataset import take
 from fishmj.log.trial_folder import FLAT_FILE, META_FILE
 from fishmj.mjcf.reading import load_robot
 
+WIDE, HIGH, LEFT, TOP, RIGHT, BELOW = 860, 300, 54, 30, 110, 44  # px, of the picture
+INK = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#17becf", "#bcbd22", "#7f7f7f")
+MOST = 1.25  # of the limit, top of the picture
+POINTS = 1200  # of a line
 EXAMPLES = """examples:
   fishmj deploy monitor runs/swim_07                             learns from the first 5 minutes, watches the rest
   fishmj deploy monitor runs/swim_07 --healthy runs/swim_01      against a healthy swim of the same robot
@@ -95,12 +99,6 @@ def opened(paths: list) -> dict[str, Trial]:
         else:
             found |= {str(path / name): trial for name, trial in take(path).trials.items()}
     return found
-
-
-WIDE, HIGH, LEFT, TOP, RIGHT, BELOW = 860, 300, 54, 30, 110, 44  # px
-INK = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#17becf", "#bcbd22", "#7f7f7f")
-MOST = 1.25  # of the limit, top of the picture
-POINTS = 1200  # of a line
 
 
 def drawn(title: str, history: History, alarms: Sequence[Alarm]) -> str:

@@ -79,9 +79,6 @@ class SolverPhysics(Physics):
         self.forward()
 
 
-__all__ = ["SolverPhysics"]
-
-
 class HybridPhysics(Physics):
     """A fish with corrected water; make one with `HybridPhysics.corrected`. Every episode begins with the water as fitted.
 
