@@ -145,20 +145,28 @@ def _identity(active: EffectStack, what: str) -> None:
 
 def _finite(active: EffectStack, what: str) -> None:
     """Checks that at typical sizes and at both bounds a step stays finite, and that the larger typical size changes something."""
-    ch, sw, given = _fish()
+    _, _, given = _fish()
     (effect,), memory = active.effects, list(active.memory)
     memory[:2] = 3.0, 600.0  # A that the servos draw; s, ten minutes into a session
-    plain = planar_chain.step(np, ch, sw, *given)
     for where, size in _sizes(effect.parameters):
         with np.errstate(all="ignore"):
             found = _step(active, what, given, size, memory)
         if not all(np.isfinite(value).all() for value in (*found.q, *found.v, found.attached, found.power, *found.memory)):
             values = ", ".join(f"{p.name} = {x:g}" for p, x in zip(effect.parameters, size, strict=True))
             raise OwnCodeError(f"{what}: at {where} ({values}) a step is not finite; mend the formula or narrow the bounds")
-    if set(effect.sites) - {"measure", "command"}:
-        strong = _step(active, what, given, _sizes(effect.parameters)[1][1], memory)
-        if all(np.array_equal(np.array(getattr(strong, f), float), np.array(getattr(plain, f), float)) for f in FIELDS):
-            raise OwnCodeError(f"{what}: at its larger typical size it changes nothing; is its site called with the parameter?")
+    if set(effect.sites) - {"measure", "command"} and not _shows(active, what, given, _sizes(effect.parameters)[1][1], memory):
+        raise OwnCodeError(f"{what}: at its larger typical size it changes nothing; is its site called with the parameter?")
+
+
+def _shows(active: EffectStack, what: str, given, size, memory) -> bool:
+    """Tells whether the effect changes anything within STEPS steps with the fish reversed after each: a memory may act on a brake alone."""
+    ch, sw, first = _fish()
+    for _ in range(STEPS):
+        plain, strong = planar_chain.step(np, ch, sw, *given), _step(active, what, given, size, memory)
+        if any(not np.array_equal(np.array(getattr(strong, f), float), np.array(getattr(plain, f), float)) for f in FIELDS):
+            return True
+        given, memory = (strong.q, [-v for v in strong.v], strong.attached, *first[3:]), strong.memory
+    return False
 
 
 def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:

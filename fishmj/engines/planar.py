@@ -70,7 +70,7 @@ class PlanarEngine(Copied):
 
     def _physics_of(self, state: FishState, *given):
         """Computes `physics`; for many fish with a learnt force and no effects on an NVIDIA GPU, by the equivalent kernel."""
-        if not kernel or self.added.learnt is None or self.added.active is not None or not takes_kernel(state.attached):
+        if not kernel or self.added.learnt is None or not takes_kernel(state.attached):
             return self.physics
         if np.dtype(float) in {a.dtype for a in jax.tree.leaves((state, *given))}:
             return self.physics

@@ -43,7 +43,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     """Computes `engine.physics` by the kernel; interpret: in plain JAX, on any machine."""
     count, nets = len(state.attached), engine.added.nets
     # two tables: parameters do not change from tick to tick, so their table can be made once
-    given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=(), effects=())
+    given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=())
     tables, places = zip(*map(_side_by_side, given), strict=True)
     each = [residual_kernel.tables_of(residual_network.halves(np, one.net), UNITS) for one in nets]
     weights = tuple(jnp.concatenate(tables) for tables in zip(*each, strict=True))
@@ -62,7 +62,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
         held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
         (state, targets, flow, ambient), params = held
         nones, *weights, out = refs[len(held) :]
-        fixed = swimmer(params), (), pairs(flow), columns(ambient)
+        fixed = swimmer(params), columns(params.effects), pairs(flow), columns(ambient)
         tanh = residual_kernel.tanh_of(interpret)
 
         def step(k, carry):
