@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fishmj.base.errors import ConfigError
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
+from fishmj.hydro_fit.campaign.data.collect import boundary_of_model
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
 from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.solver_water import REFERENCE
 from fishmj.mjcf import load_robot
 from fishmj.water.dynamics import planar_chain
+from fishmj.water.hydro_model import HydroModel
 
 ROBOT = load_robot("fish")
 TRUE = planar_chain.nominal(ROBOT).water
@@ -75,9 +79,25 @@ def test_rounds_that_never_agree_say_so(tmp_path):
     assert not found["agreed"] and len(found["rounds"]) == 1 and found["model"] is slow
 
 
-def test_the_last_of_several_episodes_of_a_round_validates():
+def test_every_sixth_episode_of_a_round_validates_and_of_fewer_the_last():
     splits = lambda n: [s.split for s in plan.on_policy(ROBOT, "dob", episodes=n, seconds=2.0, seed=1).segments]
     assert splits(1) == ["train"] and splits(3) == ["train", "train", "val"]
+    assert [k for k, split in enumerate(splits(14)) if split == "val"] == [5, 11]
+
+
+def test_streams_of_a_round_are_drawn_between_the_bounds_that_are_asked():
+    speeds = lambda *bounds: [
+        s.flow.speed for s in plan.on_policy(ROBOT, "dob", episodes=8, seconds=2.0, seed=1, speeds=bounds or None).segments
+    ]
+    np.testing.assert_allclose(speeds(0.1, 0.2), 0.1 + 0.1 * np.array(speeds()) / plan.STEERED[1])
+    assert 0.1 < min(speeds(0.1, 0.2)) < max(speeds(0.1, 0.2)) < 0.2
+
+
+def test_a_water_is_corrected_with_the_boundary_of_its_own_segments():
+    reference = HydroModel.load("swift-reference")
+    assert boundary_of_model(reference) == REFERENCE.sharpness != boundary_of_model(HydroModel.load("swift"))
+    with pytest.raises(ConfigError, match="boundary soft; expected plain, rims"):
+        boundary_of_model(replace(reference, dataset={"boundary": "soft"}))
 
 
 def test_the_return_is_that_of_the_task():

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from fishmj import engines
+from fishmj.effects import randomise
 from fishmj.engines import planar, planar_kernel
+from fishmj.engines.extensions import with_effects
 from fishmj.mjcf import load_robot
 from fishmj.water import residual_hooks, residual_kernel, residual_network, residual_step
 from fishmj.water.flow import Flow, stack
@@ -22,9 +24,9 @@ def swimming(name: str) -> planar.PlanarEngine:
     return engines.make("planar", engines.in_water(load_robot(name), "fitted"))
 
 
-def engine_of(name: str, seed: int = 0) -> planar.PlanarEngine:
+def engine_of(name: str, seed: int = 0, effects=()) -> planar.PlanarEngine:
     """An engine whose residual has random weights: two members with six units each, and a range that some fish leave."""
-    engine, rng = swimming(name), np.random.default_rng(seed)
+    engine, rng = engines.make("planar", with_effects(swimming(name).robot, effects)), np.random.default_rng(seed)
     net = residual_network.blank(engine.chain.n, 2, 6, seed=seed)
     net = net._replace(**{part: rng.normal(0, 0.5, getattr(net, part).shape) for part in ("wake_bias", "outer", "even", "odd")})
     reach = residual_hooks.unlimited(engine.chain.n)._replace(speed=np.full(engine.chain.n, 1.2), spread=np.array(1.0))
@@ -37,9 +39,12 @@ def given_to(engine: planar.PlanarEngine, count: int = FISH, seed: int = 1):
     """What `PlanarEngine.physics` is given: `count` fish that swim, all different."""
     rng, joints = np.random.default_rng(seed), engine.robot.n_joints
     state = engines.at_rest(engine.robot, rng.uniform(-2, 2, (count, 3)))
-    memory = np.concatenate([rng.uniform(-1, 1, (count, residual_network.WAKES)), rng.uniform(0, 0.2, (count, 2))], 1)
+    wakes = [rng.uniform(-1, 1, (count, residual_network.WAKES)), rng.uniform(0, 0.2, (count, 2))]
+    memory = np.concatenate([state.memory[:, : -residual_network.WAKES - 2], *wakes], 1)  # of the effects, then of the residual
     state = state._replace(v=rng.normal(0, 0.6, state.v.shape), buffer=(), memory=memory)
     params = engines.nominal_params(engine.robot, count)
+    if (active := engine.added.active) is not None:
+        params = params._replace(effects=randomise.draw(active, count, rng))
     params = params._replace(
         **{part: getattr(params, part) * rng.uniform(0.9, 1.1, (count, 1)) for part in ("mass", "kp", "water")}
     )
@@ -48,11 +53,16 @@ def given_to(engine: planar.PlanarEngine, count: int = FISH, seed: int = 1):
     return jax.tree.map(single, (state, params, targets, flow, rng.normal(0, 0.1, (count, 2))))
 
 
-@pytest.mark.parametrize("name", [pytest.param("fish", marks=pytest.mark.slow), "tendon_fish"])
-def test_the_kernel_swims_as_the_steps_in_xla_do(name, monkeypatch):
+EFFECTS = ("gear_backlash", "voltage_sag", "quadratic_drag", "wake_memory", "swirl")  # servo, gear, body, water and flow
+
+
+@pytest.mark.parametrize(
+    "name, effects", [pytest.param("fish", (), marks=pytest.mark.slow), ("tendon_fish", ()), ("tendon_fish", EFFECTS)]
+)
+def test_the_kernel_swims_as_the_steps_in_xla_do(name, effects, monkeypatch):
     """Three ticks; the chains of both fitted waters, four links and three. Of six hidden units a round holds two."""
     monkeypatch.setattr(planar_kernel, "BLOCK", 4)
-    engine = engine_of(name)
+    engine = engine_of(name, effects=effects)
     state, *others = given_to(engine)
     quickly = {"xla_backend_optimization_level": 0}  # made: each is run three times
     made = lambda way: jax.jit(way).lower(state, *others).compile(compiler_options=quickly)
@@ -108,9 +118,8 @@ def test_tick_kernel_needs_many_fish_float32_learnt_water_and_a_gpu(graphics_car
     with jax.enable_x64(True):
         assert not taken(engine, *jax.tree.map(lambda a: jnp.asarray(a, float), given))
     whole = engine.added
-    for other in replace(whole, nets=()), replace(whole, active=object()):  # strips alone, an effect
-        engine.added = other
-        assert not taken(engine, *given)
+    engine.added = replace(whole, nets=())  # strips alone
+    assert not taken(engine, *given)
     engine.added = whole
     for room, name, value in (
         (planar, "kernel", False),
@@ -133,9 +142,10 @@ def advanced(engine: planar.PlanarEngine) -> tuple:
     return state, jnp.zeros((FISH, 2, engine.robot.n_joints)), params, current, jnp.zeros(FISH, int)
 
 
-def test_triton_takes_the_kernel(graphics_card):
+@pytest.mark.parametrize("effects", [(), EFFECTS])
+def test_triton_takes_the_kernel(effects, graphics_card):
     """The whole engine is lowered for an NVIDIA GPU, which needs none; on a CPU the same engine has no kernel in it."""
-    engine = engine_of("fish")
+    engine = engine_of("fish", effects=effects)
     traced = jax.jit(engine.advance).trace(*advanced(engine))
     assert traced.lower(lowering_platforms=("cuda",)).as_text().count("xla.gpu.triton") == 1
     assert "triton" not in traced.lower(lowering_platforms=("cpu",)).as_text()

@@ -69,7 +69,7 @@ class PlanarEngine(Copied):
         return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
 
     def _physics_of(self, state: FishState, *given):
-        """Computes `physics`; for many fish with a learnt force and no effects on an NVIDIA GPU, by the equivalent kernel."""
+        """Computes `physics`; for many fish with a learnt force on an NVIDIA GPU, by the equivalent kernel."""
         if not kernel or self.added.learnt is None or not takes_kernel(state.attached):
             return self.physics
         if np.dtype(float) in {a.dtype for a in jax.tree.leaves((state, *given))}:

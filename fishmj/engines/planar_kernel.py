@@ -2,7 +2,8 @@
 
     state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.PlanarEngine.physics`, float32
 
-`PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Parameters and state of a fish stay
+`PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Effects take part: Triton knows all
+operations that `codegen` knows, and an effect has no others. Parameters and state of a fish stay
 in registers; the weights of the learnt forces come from cache. The kernel computes the forward pass only; gradients use the same
 steps in XLA.
 

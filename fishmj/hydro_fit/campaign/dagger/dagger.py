@@ -8,8 +8,8 @@ next model is fitted to all (Ross, Gordon, Bagnell 2011, arXiv 1011.0686; for mo
 arXiv 1203.1007). The policy itself is not trained here; `fishmj train --correct` trains it anew before each round.
 
 Each episode yields two segments: the whole episode, steered by the policy in the solver from the same start, which gives the
-return; and a short one from the state of the surrogate half-way, which the policy may never reach in the solver. The last episode
-of a round validates. Segments, models and rows of finished rounds are kept: the same call continues with them.
+return; and a short one from the state of the surrogate half-way, which the policy may never reach in the solver. Every sixth
+episode of a round validates, and of fewer the last. Segments, models and rows of finished rounds are kept: the same call continues with them.
 
     fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
 
@@ -33,7 +33,7 @@ from fishmj.base.store import read_json, write_json
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, boundary_of_model, collect, domain_of_model
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
@@ -42,6 +42,7 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run_log import flow_at_links
+from fishmj.lbm_oracle.run.solver_water import boundary_name
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import arrived_of, on_the_bus
@@ -157,7 +158,8 @@ def round_plan(robot: Robot, policy: str, rolls: list[tuple[Segment, Rollout]], 
 def correct(
     policy: "str | Callable[[int, HydroModel], str]", robot: Robot, model: HydroModel, folder: Path, setup: Setup, *,
     refit: Callable[[HydroModel, Path], HydroModel],
-    rounds: int = 5, episodes: int = 4, seconds: float = 20.0, pool: Pool | None = None,
+    rounds: int = 5, episodes: int = 4, seconds: float = 20.0, speeds: tuple[float, float] | None = None,
+    pool: Pool | None = None,
 ) -> dict:  # fmt: skip
     """Collects, compares and refits until the returns agree within `AGREED` or the rounds are over.
 
@@ -166,6 +168,7 @@ def correct(
         model: the surrogate at the start.
         folder: folder of the rounds: `solver`, a data set that grows, and a model and a row of each round.
         refit: function of a round's model and the rounds' data set that returns the next model.
+        speeds: m/s, bounds of the draw of the stream's speed; by default those of the campaign.
     Returns:
         rounds (a row each, as of `compare_returns`), agreed, model (the last one).
     Raises:
@@ -180,7 +183,8 @@ def correct(
         helm = policy(number, model) if callable(policy) else policy
         made = f"{sha256_of(model)} {getattr(control.make(helm, robot), 'sha256', helm)}"
         if row.get("model") != made:
-            row = {"round": number} | _round(helm, robot, model, folder / "solver", setup, number, episodes, seconds, pool)
+            sized = {"episodes": episodes, "seconds": seconds, "seed": number, "speeds": speeds}
+            row = {"round": number} | _round(helm, robot, model, folder / "solver", setup, pool, **sized)
             write_json(kept, row | {"model": made})
         rows.append(row := {key: value for key, value in row.items() if key != "model"})
         console.say(
@@ -193,11 +197,11 @@ def correct(
     return {"rounds": rows, "agreed": rows[-1]["gap"] <= AGREED, "model": model}
 
 
-def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, number: int, episodes, seconds, pool) -> dict:
-    """Rolls out, solves and compares one round."""
-    plan = plans.on_policy(robot, policy, episodes=episodes, seconds=seconds, seed=number, slip=model.slip)
+def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, pool: Pool | None, **sized) -> dict:
+    """Rolls out, solves and compares one round. sized: as of `plan.on_policy`, whose seed is the number of the round."""
+    plan = plans.on_policy(robot, policy, slip=model.slip, **sized)
     rolls = [(segment, roll_out(robot, model, segment)) for segment in plan.segments]
-    collect(round_plan(robot, policy, rolls, number), solver, setup, pool=pool)
+    collect(round_plan(robot, policy, rolls, sized["seed"]), solver, setup, pool=pool)
     return compare_returns(robot, solver, rolls)
 
 
@@ -261,22 +265,31 @@ def main(argv: list[str]) -> int:
     add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
     add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
     add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
+    streams = "m/s, of the streams: bounds of a draw for each episode; default 0,0.35"
+    add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=streams)
     add("--domain", choices=EVERY, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.devices, default="auto", help="auto, cpu, cuda, cuda:N, cuda:all or a list; default auto")
+    tanks = f"segments side by side on each device; by default {ON_GPU} on a GPU, else 1"
+    add("--tanks", type=console.whole(1, 1000), metavar="N", help=tanks)
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
-    box = domain_of_model(args.domain, began)
-    if (grid := {meta["grid"]["domain"] for meta in first.about.values()}) != {box.name}:
-        console.warn(f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {box.name}: two waters in one fit")
+    box, edge = domain_of_model(args.domain, began), boundary_of_model(began)
+    words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
+    here = words(box.name, boundary_name(edge))
+    if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in first.about.values()}) != {here}:
+        console.warn(f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
     water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
-    solver_cost.agree("hydro_fit correct", args.device, [(box, water)], instead=less)
+    solver_cost.agree(
+        "hydro_fit correct", args.device, [(level, water) for level in box.levels], instead=less, tanks=args.tanks or 1
+    )
     devices = devices_of(args.device)
-    setup = Setup(robot=robot, domain=box, device=devices[0])
-    sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds}
-    pool = Local(ON_GPU if setup.device.startswith("cuda") else 1, devices)
+    setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=edge)
+    speeds = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1])
+    sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds, "speeds": speeds}
+    pool = Local(args.tanks or (ON_GPU if setup.device.startswith("cuda") else 1), devices)
     refit = lambda model, solver: refitted(robot, model, first, solver, out)
     with interrupt.keeping(lambda: kept_words(out)):
         found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)
@@ -311,7 +324,8 @@ def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Pat
     new, old = ({split: of(data, split) for split in ("train", "val")} for data in (added, first))
     room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
     every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
-    made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"}
+    water = {key: model.dataset[key] for key in ("grid", "boundary") if key in model.dataset}
+    made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"} | water
     again = Refit(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
 
     def words() -> str:

@@ -42,6 +42,8 @@ Made = dict[str, Any]
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
 EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
 EVERY_VAL = 8
+STEERED = (0.0, 0.35)  # m/s, streams of on-policy episodes
+VALIDATES = 6  # of so many episodes of a round the last
 # Default controllers; those among them that are made for the fish are used.
 POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
 SEEDS = 3  # runs of one repeated episode with the grid's own time step
@@ -148,7 +150,7 @@ def uneven(k: int, u, robot: Robot) -> Made:
 
 def steered(k: int, u, robot: Robot, helms: tuple[Made, ...]) -> Made:
     """A controller or policy on its way to a target 1.4 m off and at it, from any heading, in a turbulent stream."""
-    speed, direction, far = within(u[0], 0.0, 0.35), 2 * pi * float(u[1]), constant("protocol", "distance")
+    speed, direction, far = within(u[0], *STEERED), 2 * pi * float(u[1]), constant("protocol", "distance")
     near = 0.2 if k % 3 == 2 else 1.0  # of the distance: every third episode begins close to the target
     where = 2 * pi * float(u[2])
     target = (near * far * cos(where), near * far * sin(where))
@@ -394,13 +396,20 @@ def fresh_test(robot: "Robot | str" = "fish", *, seed: int, policies: Sequence[s
 
 
 def on_policy(
-    robot: "Robot | str", controller: str, *, episodes: int, seconds: float, seed: int, slip: float = DEFAULT_SLIP
-) -> CampaignPlan:
-    """Training episodes steered by one controller or policy file: the addition of one round of correction to a data set."""
+    robot: "Robot | str", controller: str, *, episodes: int, seconds: float, seed: int, slip: float = DEFAULT_SLIP,
+    speeds: tuple[float, float] | None = None,
+) -> CampaignPlan:  # fmt: skip
+    """Training episodes steered by one controller or policy file: the addition of one round of correction to a data set.
+
+    speeds: m/s, bounds of the draw of the stream's speed; by default those of the campaign. Every sixth episode validates, and
+    of fewer the last.
+    """
     robot = load_robot(robot)
     steer = _steering(robot, (controller,))
     made = _episodes(PlanPart("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
-    split = lambda k: "val" if 0 < k == episodes - 1 else "train"  # the last of several validates
+    split = lambda k: "val" if k % VALIDATES == VALIDATES - 1 or 0 < k == episodes - 1 < VALIDATES else "train"
+    if speeds is not None:
+        made = [replace(s, flow=replace(s.flow, speed=within(s.flow.speed / STEERED[1], *speeds))) for s in made]
     segments = tuple(replace(s, slip=slip, id=_id(s.episode, slip), split=split(k)) for k, s in enumerate(made))
     return CampaignPlan(label=f"on policy, round {seed}", robot=robot, seed=seed, segments=segments)
 
