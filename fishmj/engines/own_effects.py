@@ -159,7 +159,7 @@ def _finite(active: EffectStack, what: str) -> None:
 
 
 def _shows(active: EffectStack, what: str, given, size, memory) -> bool:
-    """Tells whether the effect changes anything within STEPS steps with the fish reversed after each: a memory may act on a brake alone."""
+    """Tells whether the effect changes anything within STEPS steps, the fish reversed after each: it may act on a brake alone."""
     ch, sw, first = _fish()
     for _ in range(STEPS):
         plain, strong = planar_chain.step(np, ch, sw, *given), _step(active, what, given, size, memory)

@@ -9,9 +9,10 @@ arXiv 1203.1007). The policy itself is not trained here; `fishmj train --correct
 
 Each episode yields two segments: the whole episode, steered by the policy in the solver from the same start, which gives the
 return; and a short one from the state of the surrogate half-way, which the policy may never reach in the solver. Every sixth
-episode of a round validates, and of fewer the last. Segments, models and rows of finished rounds are kept: the same call continues with them.
+episode of a round validates, and of fewer the last. Segments, models and rows of finished rounds are kept: the same call
+continues with them.
 
-    fishmj hydro_fit correct paper --domain window_coarse --device cuda --out runs/correct
+    fishmj hydro_fit correct paper --device cuda --out runs/correct
 
 Nothing is written outside --out: the data set of the first fit is only read, and the rounds' segments have one of their own.
 """
