@@ -224,9 +224,9 @@ def rounds(monkeypatch):
     swum = []
     monkeypatch.setattr(correct_water, "TrainingRun", Training)
 
-    def swim(policy, robot, model, solver, setup, number, *_):
+    def swim(policy, robot, model, solver, setup, pool, *, seed, **_):
         swum.append((policy, model.slip))
-        row = {"n": 4, "solver": 0.4, "surrogate": 0.41 + 0.2 * (number == 1), "low": 0.0, "high": 0.1}
+        row = {"n": 4, "solver": 0.4, "surrogate": 0.41 + 0.2 * (seed == 1), "low": 0.0, "high": 0.1}
         return row | {"rmse_solver": 0.2, "rmse_surrogate": 0.1, "gap": abs(row["surrogate"] / 0.4 - 1)}
 
     monkeypatch.setattr(dagger, "_round", swim)
