@@ -367,9 +367,7 @@ def test_an_effect_that_acts_on_a_fish_that_slows_down_alone_is_one():
         return b._replace(fx=b.fx + p.drag * xp.maximum(mean - b.u, 0.0)), (mean + h / 2.0 * (b.u - mean),)
 
     size = Parameter(name="drag", unit="N s/m", low=0.0, high=1.0, typical=(0.1, 0.5))
-    told = {"about": "own wake", "formula": "F = c (m - u) > 0", "source": "here", "shows": ("position",)}
-    effect = Effect(name="wake_ahead", stage="hydrodynamics", parameters=(size,), body=body, memory=(0.0,), **told)
-    own_effects.check(effect)
+    own_effects.check(Effect(**GIVEN | {"parameters": (size,), "body": body, "memory": (0.0,)}))
 
 
 def test_an_own_effect_joins_the_catalogue_and_acts_in_the_engines(catalogue):
