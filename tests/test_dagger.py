@@ -89,7 +89,7 @@ def test_streams_of_a_round_are_drawn_between_the_bounds_that_are_asked():
     speeds = lambda *bounds: [
         s.flow.speed for s in plan.on_policy(ROBOT, "dob", episodes=8, seconds=2.0, seed=1, speeds=bounds or None).segments
     ]
-    np.testing.assert_allclose(speeds(0.1, 0.2), 0.1 + 0.1 * np.array(speeds()) / plan.STEERED[1])
+    np.testing.assert_allclose(speeds(0.1, 0.2), 0.1 + 0.1 * np.array(speeds()) / plan.STEERED)
     assert 0.1 < min(speeds(0.1, 0.2)) < max(speeds(0.1, 0.2)) < 0.2
 
 

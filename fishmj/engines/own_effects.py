@@ -112,6 +112,12 @@ def _step(active: EffectStack, what: str, given, row, memory, wet: float = 1.0):
     return plugins.call(f"{what}: a step with parameters {[round(float(x), 6) for x in row]}", take)
 
 
+def _changes(one, other) -> dict[str, float]:
+    """Largest difference of each field in which two steps are not equal to the bit."""
+    pairs = {field: [np.array(getattr(step, field), float) for step in (one, other)] for field in FIELDS}
+    return {field: float(np.abs(a - b).max()) for field, (a, b) in pairs.items() if not np.array_equal(a, b)}
+
+
 def _identity(active: EffectStack, what: str) -> None:
     """Checks that at the null no bit changes, for any value of its shapes' null."""
     ch, sw, first = _fish()
@@ -120,16 +126,13 @@ def _identity(active: EffectStack, what: str) -> None:
         for k in range(STEPS):
             plain = planar_chain.step(np, ch, sw, *given)
             same = _step(active, what, given, active.null, memory, wet)
-            for field in FIELDS:
-                a, b = np.array(getattr(same, field), float), np.array(getattr(plain, field), float)
-                if not np.array_equal(a, b):
-                    medium, nulls = "water" if wet else "air", zip(active.names, active.null, strict=True)
-                    null = ", ".join(f"{name} = {x:g}" for (_, name), x in nulls)
-                    most = np.abs(a - b).max()
-                    raise OwnCodeError(
-                        f"{what}: at its null ({null}) it changes {field} by up to {most:.3g} in step {k + 1} in {medium};"
-                        " at the null it must change no bit"
-                    )
+            for field, most in _changes(same, plain).items():
+                medium, nulls = "water" if wet else "air", zip(active.names, active.null, strict=True)
+                null = ", ".join(f"{name} = {x:g}" for (_, name), x in nulls)
+                raise OwnCodeError(
+                    f"{what}: at its null ({null}) it changes {field} by up to {most:.3g} in step {k + 1} in {medium};"
+                    " at the null it must change no bit"
+                )
             given, memory = (plain.q, plain.v, plain.attached, *first[3:]), same.memory
     rng = np.random.default_rng(1)
     sent = rng.normal(size=(20, active.joints))
@@ -163,7 +166,7 @@ def _shows(active: EffectStack, what: str, given, size, memory) -> bool:
     ch, sw, first = _fish()
     for _ in range(STEPS):
         plain, strong = planar_chain.step(np, ch, sw, *given), _step(active, what, given, size, memory)
-        if any(not np.array_equal(np.array(getattr(strong, f), float), np.array(getattr(plain, f), float)) for f in FIELDS):
+        if _changes(strong, plain):
             return True
         given, memory = (strong.q, [-v for v in strong.v], strong.attached, *first[3:]), strong.memory
     return False

@@ -3,9 +3,8 @@
     state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.PlanarEngine.physics`, float32
 
 `PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Effects take part: Triton knows all
-operations that `codegen` knows, and an effect has no others. Parameters and state of a fish stay
-in registers; the weights of the learnt forces come from cache. The kernel computes the forward pass only; gradients use the same
-steps in XLA.
+operations that `codegen` knows, and an effect has no others. Parameters and state of a fish stay in registers; the weights of the
+learnt forces come from cache. The kernel computes the forward pass only; gradients use the same steps in XLA.
 
 Where waters have residuals of their own, a block of fish has one program for each residual. A program ends at once if no fish of
 its block has that residual, and writes those fish that have it. The number of the residual is a coordinate of the program, so

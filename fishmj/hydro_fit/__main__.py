@@ -240,9 +240,10 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     data, out = open_dataset(folder), Path(args.out or FOLDERS[0])
     slip = slip_of(data, args.slip)
     train, val = fitted_parts(data, robot, slip)
-    about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic"}
     solved = train[0].meta["grid"]
-    about |= {"grid": solved.get("domain", "")} | {key: solved[key] for key in ("boundary",) if key in solved}
+    about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": solved.get("domain", "")}
+    if "boundary" in solved:  # as in segments: not for the plain one
+        about["boundary"] = solved["boundary"]
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:
 

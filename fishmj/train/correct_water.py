@@ -21,7 +21,7 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json, write_json
 from fishmj.hydro_fit.campaign.dagger import dagger
-from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, boundary_of_model, domain_of_model
+from fishmj.hydro_fit.campaign.data.collect import Local, Pool, boundary_of_model, domain_of_model, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.hydro_fit.water_ablation.ablation import unfitted
@@ -73,7 +73,7 @@ def train_and_correct(
     data = open_dataset(Path("data") / "hydro" / robot.name)
     devices = devices_of(device)
     setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=boundary_of_model(model))
-    pool = pool or Local(ON_GPU if setup.device.startswith("cuda") else 1, devices)
+    pool = pool or Local(tanks_on(devices[0]), devices)
     made: list[Path] = []
 
     def train(number: int, model: HydroModel) -> str:

@@ -41,7 +41,7 @@ from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.metrics import Result, beat_mean, difference
 from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.rank_waters.rank import GAP
-from fishmj.hydro_fit.campaign.data.collect import ON_GPU
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, tanks_on
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
@@ -105,7 +105,7 @@ def main(argv: list[str]) -> int:
         )
     asked = WRONG if args.wrong == "all" else dict.fromkeys((CONTROL, args.wrong))
     conditions = [condition(name, args) for name in asked]
-    args.tanks = args.tanks or (ON_GPU if str(device_of(args.device)).startswith("cuda") else 1)
+    args.tanks = tanks_on(str(device_of(args.device)), args.tanks)
     trials = trials_of(args)
     box, solved = conditions[0].options(args).box(conditions[0].robot), {(c.slip, c.faster) for c in conditions}
     share = args.lead + HybridOptions.span

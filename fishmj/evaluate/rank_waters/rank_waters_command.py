@@ -23,7 +23,7 @@ from fishmj.base.store import clear, write_json
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.rank_waters import compare_waters, rank
 from fishmj.evaluate.rank_waters.plot import picture
-from fishmj.hydro_fit.campaign.data.collect import GO, ON_GPU, domain_of_model
+from fishmj.hydro_fit.campaign.data.collect import GO, ON_GPU, domain_of_model, tanks_on
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
         asked=args.budget is not None,
     )
     device = str(device_of(args.device))
-    tanks = args.tanks or (ON_GPU if device.startswith("cuda") else 1)
+    tanks = tanks_on(device, args.tanks)
     box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
     waters = [compare_waters.in_solver(robot, args.out, **box, variation=run) for run in runs]
     beside = [(0.0, 0.0), *(compare_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]

@@ -34,7 +34,7 @@ from fishmj.base.store import read_json, write_json
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, boundary_of_model, collect, domain_of_model
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, boundary_of_model, collect, domain_of_model, tanks_on
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
@@ -290,7 +290,7 @@ def main(argv: list[str]) -> int:
     setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=edge)
     speeds = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1])
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds, "speeds": speeds}
-    pool = Local(args.tanks or (ON_GPU if setup.device.startswith("cuda") else 1), devices)
+    pool = Local(tanks_on(devices[0], args.tanks), devices)
     refit = lambda model, solver: refitted(robot, model, first, solver, out)
     with interrupt.keeping(lambda: kept_words(out)):
         found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)

@@ -365,9 +365,14 @@ def default_folder(plan: CampaignPlan) -> Path:
     return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
 
 
+def tanks_on(device: str, asked: int | None = None) -> int:
+    """Number of tanks side by side: as asked, else those that fill a GPU, and one on a CPU."""
+    return asked or (ON_GPU if device.startswith("cuda") else 1)
+
+
 def pool_of(args: argparse.Namespace, devices: tuple[str, ...]) -> Pool:
     """Pool of tanks here, or of workers of a Ray cluster."""
-    tanks = args.tanks or (ON_GPU if devices[0].startswith("cuda") else 1)
+    tanks = tanks_on(devices[0], args.tanks)
     if args.ray:
         from fishmj.hydro_fit.campaign.data.ray_pool import RayPool
 

@@ -42,7 +42,7 @@ Made = dict[str, Any]
 DEFAULT_SLIP, OTHER_SLIPS = 1.0, (0.95, 0.0)
 EVERY_SLIP = 4  # of so many episodes one is run at the other slips, too
 EVERY_VAL = 8
-STEERED = (0.0, 0.35)  # m/s, streams of on-policy episodes
+STEERED = 0.35  # m/s, fastest stream of on-policy episodes
 VALIDATES = 6  # of so many episodes of a round the last
 # Default controllers; those among them that are made for the fish are used.
 POLICIES = ("paper", "pilot", "dob", "paper-sac", "pi", "adrc-c1", "pd")
@@ -150,7 +150,7 @@ def uneven(k: int, u, robot: Robot) -> Made:
 
 def steered(k: int, u, robot: Robot, helms: tuple[Made, ...]) -> Made:
     """A controller or policy on its way to a target 1.4 m off and at it, from any heading, in a turbulent stream."""
-    speed, direction, far = within(u[0], *STEERED), 2 * pi * float(u[1]), constant("protocol", "distance")
+    speed, direction, far = within(u[0], 0.0, STEERED), 2 * pi * float(u[1]), constant("protocol", "distance")
     near = 0.2 if k % 3 == 2 else 1.0  # of the distance: every third episode begins close to the target
     where = 2 * pi * float(u[2])
     target = (near * far * cos(where), near * far * sin(where))
@@ -407,9 +407,10 @@ def on_policy(
     robot = load_robot(robot)
     steer = _steering(robot, (controller,))
     made = _episodes(PlanPart("policy", episodes, seconds), robot, seed, "train", episodes, steer, prefix=f"round{seed}-")
-    split = lambda k: "val" if k % VALIDATES == VALIDATES - 1 or 0 < k == episodes - 1 < VALIDATES else "train"
+    every = min(VALIDATES, episodes)
+    split = lambda k: "val" if k % every == every - 1 > 0 else "train"
     if speeds is not None:
-        made = [replace(s, flow=replace(s.flow, speed=within(s.flow.speed / STEERED[1], *speeds))) for s in made]
+        made = [replace(s, flow=replace(s.flow, speed=within(s.flow.speed / STEERED, *speeds))) for s in made]
     segments = tuple(replace(s, slip=slip, id=_id(s.episode, slip), split=split(k)) for k, s in enumerate(made))
     return CampaignPlan(label=f"on policy, round {seed}", robot=robot, seed=seed, segments=segments)
 
