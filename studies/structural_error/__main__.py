@@ -25,7 +25,7 @@ from fishmj.base.store import read_json, write_json, write_text
 from fishmj.gap import progress
 from fishmj.gap.bench.drawn_robots import BenchRobot, every
 from fishmj.gap.bench.family_command import precompile
-from fishmj.gap.bench.workers import ask_all
+from fishmj.base.workers import ask_all
 from fishmj.gap.laboratory import generators
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import StructuralErrorScales

@@ -15,7 +15,7 @@ from fishmj.gap.bench.bench_rows import read_rows, same
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
 from fishmj.gap.bench.score import print_score, show_score
-from fishmj.gap.bench.workers import ask_all
+from fishmj.base.workers import ask_all
 from fishmj.gap.workflow import compile_kernel
 
 ALL = "families"

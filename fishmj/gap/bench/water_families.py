@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base import console, interrupt
-from fishmj.gap.bench.workers import ask_all
+from fishmj.base.workers import ask_all
 from fishmj.gap.calibrate.calibration_logs import Logs
 from fishmj.gap.calibrate.water_fit import HeldOutSwim, WaterFit, calibrate_trials, predicted
 from fishmj.gap.laboratory import generators

@@ -14,7 +14,7 @@ from fishmj.gap.bench.bench_rows import keep, read_rows
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.run_case import fish
 from fishmj.gap.bench.score import score
-from fishmj.gap.bench.workers import ask_all
+from fishmj.base.workers import ask_all
 from fishmj.gap.records.records import record_of
 
 NAMES = ("everything_free", "delta_bic", "e_sindy", "residual_correlation")

@@ -18,8 +18,9 @@ Nothing is written outside --out: the data set of the first fit is only read, an
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import NamedTuple
@@ -29,8 +30,10 @@ import numpy as np
 from fishmj import control
 from fishmj.base import console, interrupt
 from fishmj.base.calib import constant
+from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.base.store import read_json, write_json
+from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
 from fishmj.hydro_fit.campaign.data import plan as plans
@@ -57,6 +60,7 @@ AGREED = 0.05  # of the solver's mean return
 LEAST = 0.1  # of the reward at the target: a return near zero, where approach and effort cancel, is no yardstick
 SWIMS = 600.0  # s of swims in a fit
 DRAWS = 10_000  # of a bootstrap
+FEW = 60.0  # s of swims in all, which take less time here than other processes need to start
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
 
 
@@ -131,6 +135,21 @@ def roll_out(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
     return Rollout(q, v)
 
 
+def roll_outs(robot: Robot, model: HydroModel, segments: Sequence[Segment]) -> list[tuple[Segment, Rollout]]:
+    """Each segment with its swim in the surrogate, on all cores."""
+    total, found = sum(one.seconds for one in segments), {}
+    with console.Progress(total, "roll out", unit="sim s") as bar:
+        jobs = usable_cores() if total > FEW else 1
+        for k, rolled in ask_all(list(enumerate(segments)), partial(_numbered, robot, model), jobs):
+            found[k] = rolled
+            bar.update(sum(segments[i].seconds for i in found))
+    return [(segment, found[k]) for k, segment in enumerate(segments)]
+
+
+def _numbered(robot: Robot, model: HydroModel, one: tuple[int, Segment]) -> tuple[int, Rollout]:
+    return one[0], roll_out(robot, model, one[1])
+
+
 def mean_return(robot: Robot, segment: Segment, q: np.ndarray, v: np.ndarray) -> float:
     """Mean reward of a control step of the station-holding task, exact states, (T, 3 + J)."""
     every = round(robot.timing.control_dt / robot.timing.bus_dt)
@@ -201,7 +220,7 @@ def correct(
 def _round(policy, robot: Robot, model: HydroModel, solver: Path, setup: Setup, pool: Pool | None, **sized) -> dict:
     """Rolls out, solves and compares one round. sized: as of `plan.on_policy`, whose seed is the number of the round."""
     plan = plans.on_policy(robot, policy, slip=model.slip, **sized)
-    rolls = [(segment, roll_out(robot, model, segment)) for segment in plan.segments]
+    rolls = roll_outs(robot, model, plan.segments)
     collect(round_plan(robot, policy, rolls, sized["seed"]), solver, setup, pool=pool)
     return compare_returns(robot, solver, rolls)
 

@@ -1,7 +1,7 @@
-"""Runs the cases of a benchmark in parallel, a process and a core each.
+"""Does one piece of work for each of many inputs, a process and a core each.
 
-A search leaves most of a second core idle: only its rollouts share their work between threads. Each process is bound to
-one core, so that everything in it (rollouts, BLAS, null runs) uses one thread.
+A search or a roll-out in NumPy leaves most of a second core idle. Each process is bound to one core, so that everything in it
+(rollouts, BLAS, null runs) uses one thread.
 """
 
 import os
