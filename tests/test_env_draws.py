@@ -62,6 +62,17 @@ def test_a_share_of_the_starts_is_at_the_target_and_the_others_fill_the_range(cr
         environment(at_target=0.5, course="figure_eight")
 
 
+def test_an_exponent_draws_slow_streams_more_often(crowd):
+    given = {"flow_speed": (0.0, 0.4), "flow_exponent": 2.0}
+    rules = TaskSpec("station_hold", TaskOptions(**given))
+    flow = environment(**{**ROUGH, **given}).reset(KEY, 20000).current.mean
+    drawn = rules.scenario(rules.draws(np.random.default_rng(3), 20000)).launch.start.speed
+    for speeds in (np.linalg.norm(flow, axis=1), drawn):
+        uniform(np.sqrt(speeds / 0.4), 0.0, 1.0)
+    with pytest.raises(ConfigError, match="flow_exponent = 0"):
+        TaskOptions(flow_exponent=0.0)
+
+
 def test_gymnasium_s_episodes_begin_at_the_target_as_often():
     rules = TaskSpec("station_hold", TaskOptions(at_target=0.25))
     start = rules.scenario(rules.draws(np.random.default_rng(3), 20000)).launch.start

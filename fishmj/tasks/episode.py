@@ -151,6 +151,7 @@ class DrawOptions:
     randomisation: float = 1.0  # 0 nominal fish, 1 the paper's ranges
     noise: float = 1.0  # of the sensors, 1 the paper's
     flow_speed: Any = None  # m/s, a number or the bounds of a draw for each episode; None: the task's own
+    flow_exponent: float = 1.0  # e of speed = low + (high - low) u^e, u uniform: 2 draws slow streams more often
     seconds: float | None = None  # length of an episode; None: the task's own
     box: str = "train"  # which turbulence table: train, tune or judge
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
@@ -174,6 +175,7 @@ class DrawOptions:
             checked(f"task: {name}", getattr(self, name), 0, LARGEST[name])
         checked_names("task: effects", self.effects)
         checked("task: at_target", self.at_target, 0, 1)
+        checked("task: flow_exponent", self.flow_exponent, 0.1, 10)
 
     def begins(self, course: str) -> None:
         """Raises ConfigError if the task so named has no episodes that could begin at the target."""
@@ -283,6 +285,7 @@ class TaskSpec:
     def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
         """Episodes of these draws; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
         s = self.setting
+        draws = draws._replace(start=task.slowed(np, draws.start, s.flow_exponent))
         launch = self.course.launch(np, draws.start)
         start = launch.start
         u = draws.flow

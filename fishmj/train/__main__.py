@@ -102,6 +102,8 @@ def options() -> console.Parser:
     add("--intensity", type=console.number(0, 0.99), help=intensity)
     speeds = f"stream: each episode draws from LOW to HIGH; one number: always this (default: the task's, {task_speeds()})"
     add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=f"m/s, {speeds}")
+    exponent = "of the draw between LOW and HIGH, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
+    add("--flow-exponent", type=console.number(0.1, 10), metavar="E", help=exponent)
     share = "share of the episodes that begin at the target, at any heading (default: 0: anywhere, as the paper's)"
     add("--at-target", type=console.number(0, 1), metavar="SHARE", help=share)
     seconds = "length of an episode (default: the task's, 30 for station_hold)"
@@ -205,7 +207,8 @@ def settings_from(args, run=None):
     if args.task:
         named(args.task)  # loaded here, from the command line; below it is a name
     speeds, intensity = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1]), args.intensity
-    task |= kept({"flow_speed": speeds, "seconds": args.episode_seconds, "at_target": args.at_target})
+    task |= kept({"flow_speed": speeds, "flow_exponent": args.flow_exponent, "at_target": args.at_target})
+    task |= kept({"seconds": args.episode_seconds})
     task |= kept({"intensity": None if intensity is None else (0.0, intensity), "course": args.task})
     task |= kept({"hide": args.hide, "effects": args.randomise_effects})
     if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
