@@ -1,6 +1,7 @@
 """Rounds of what a policy does, solved and refitted. The flow solver is made up here."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
 from fishmj.hydro_fit.campaign.data.collect import boundary_of_model
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
+from fishmj.hydro_fit.fit import incremental, rollout
 from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import REFERENCE
@@ -98,6 +100,25 @@ def test_a_water_is_corrected_with_the_boundary_of_its_own_segments():
     assert boundary_of_model(reference) == REFERENCE.sharpness != boundary_of_model(HydroModel.load("swift"))
     with pytest.raises(ConfigError, match="boundary soft; expected plain, rims"):
         boundary_of_model(replace(reference, dataset={"boundary": "soft"}))
+
+
+def test_a_refit_takes_every_round_and_thins_all_earlier_data_sets(tmp_path, monkeypatch):
+    """1,100 s of rounds leave 400 s, a third of the bound, for two earlier sets of 900 s: every fifth of theirs."""
+
+    def swims(name: str, count: int):
+        made = [SimpleNamespace(name=f"{name}{k}", seconds=100.0, meta={"block": "policy"}) for k in range(count)]
+        return SimpleNamespace(sha256=name, records=lambda split, slip: made if split == "train" else made[:1])
+
+    given = []
+    monkeypatch.setattr(dagger, "open_dataset", lambda folder: swims("round", 11))
+    monkeypatch.setattr(rollout, "is_free", lambda record: True)
+    monkeypatch.setattr(incremental, "Refit", lambda *a, **k: given.append((a, k)) or SimpleNamespace(run=lambda: a[1]))
+    model = HydroModel.load("swift-reference")
+    dagger.refitted(ROBOT, model, [swims("a", 9), swims("b", 9)], tmp_path / "solver", tmp_path)
+    ((_, _, train, (old, new)), more) = given[0]
+    assert [r.name for r in train] == [*(f"round{k}" for k in range(11)), "a0", "a5", "b1", "b6"]
+    assert [r.name for r in old] == ["a0", "b0"] and [r.name for r in new] == ["round0"]
+    assert more["dataset"]["first"] == "a, b" and more["dataset"]["boundary"] == "rims"
 
 
 def test_the_return_is_that_of_the_task():

@@ -102,7 +102,7 @@ def options() -> console.Parser:
     add("--intensity", type=console.number(0, 0.99), help=intensity)
     speeds = f"stream: each episode draws from LOW to HIGH; one number: always this (default: the task's, {task_speeds()})"
     add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=f"m/s, {speeds}")
-    exponent = "of the draw between LOW and HIGH, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
+    exponent = "of the draw, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
     add("--flow-exponent", type=console.number(0.1, 10), metavar="E", help=exponent)
     share = "share of the episodes that begin at the target, at any heading (default: 0: anywhere, as the paper's)"
     add("--at-target", type=console.number(0, 1), metavar="SHARE", help=share)

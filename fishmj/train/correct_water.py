@@ -82,7 +82,7 @@ def train_and_correct(
         made.append(trained(settings, water, folder / f"round-{number}" / "train", before, asked or {}, steps, command))
         return str(made[-1])
 
-    refit = lambda model, solver: dagger.refitted(robot, model, data, solver, folder)
+    refit = lambda model, solver: dagger.refitted(robot, model, [data], solver, folder)
     with interrupt.keeping(partial(dagger.kept_words, folder)):
         found = dagger.correct(
             train, robot, model, folder, setup, refit=refit, rounds=rounds, episodes=episodes, seconds=seconds, pool=pool

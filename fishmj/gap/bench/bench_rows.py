@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from fishmj.base import console, interrupt
-from fishmj.gap import progress
 from fishmj.base.workers import ask_all
+from fishmj.gap import progress
 
 ROUNDED = 1e-9  # relative; two draws of one effect differ by far more
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from fishmj.base import console, cost, interrupt
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
+from fishmj.base.workers import ask_all
 from fishmj.gap import progress
 from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
 from fishmj.gap.bench.bench_rows import read_rows, same
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
 from fishmj.gap.bench.score import print_score, show_score
-from fishmj.base.workers import ask_all
 from fishmj.gap.workflow import compile_kernel
 
 ALL = "families"

@@ -9,12 +9,12 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import SimDiverged
+from fishmj.base.workers import ask_all
 from fishmj.gap.bench.baselines.baseline_answer import BaselineAnswer
 from fishmj.gap.bench.bench_rows import keep, read_rows
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.run_case import fish
 from fishmj.gap.bench.score import score
-from fishmj.base.workers import ask_all
 from fishmj.gap.records.records import record_of
 
 NAMES = ("everything_free", "delta_bic", "e_sindy", "residual_correlation")

@@ -14,7 +14,7 @@ continues with them.
 
     fishmj hydro_fit correct paper --device cuda --out runs/correct
 
-Nothing is written outside --out: the data set of the first fit is only read, and the rounds' segments have one of their own.
+Nothing is written outside --out: the data sets of earlier fits are only read, and the rounds' segments have one of their own.
 """
 
 import hashlib
@@ -58,7 +58,7 @@ from fishmj.water.prior import flat
 
 AGREED = 0.05  # of the solver's mean return
 LEAST = 0.1  # of the reward at the target: a return near zero, where approach and effort cancel, is no yardstick
-SWIMS = 600.0  # s of swims in a fit
+SWIMS = 1200.0  # s of swims in a fit
 DRAWS = 10_000  # of a bootstrap
 FEW = 60.0  # s of swims in all, which take less time here than other processes need to start
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
@@ -279,7 +279,8 @@ def main(argv: list[str]) -> int:
     add("policy", type=console.text, metavar="POLICY", help="name of a controller or a policy file")
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
     add("--model", type=console.text, default="swift", help="the surrogate to begin with: name or .toml")
-    add("--data", type=console.path, help="data set that it was fitted to; default data/hydro/<robot>; it is read only")
+    sets = "data sets that it was fitted to, those of earlier corrections (OUT/solver) too; default data/hydro/<robot>; read only"
+    add("--data", type=console.path, nargs="+", metavar="FOLDER", help=sets)
     place = "folder of the rounds and of the corrected model; goes on with what is there"
     add("--out", type=console.out_folder, default="runs/correct", help=place)
     add("--rounds", type=console.whole(1, 100), default=4, help="at most; it ends when the returns agree")
@@ -294,12 +295,13 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
-    first = open_dataset(args.data or Path("data") / "hydro" / robot.name)
+    first = [open_dataset(folder) for folder in args.data or [Path("data") / "hydro" / robot.name]]
     box, edge = domain_of_model(args.domain, began), boundary_of_model(began)
     words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
     here = words(box.name, boundary_name(edge))
-    if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in first.about.values()}) != {here}:
-        console.warn(f"{first.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
+    for data in first:
+        if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in data.about.values()}) != {here}:
+            console.warn(f"{data.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
     water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
     solver_cost.agree(
@@ -326,8 +328,8 @@ def kept_words(out: Path) -> str:
     return f"{out} holds {rounds} finished rounds and {swims} segments of the solver; {interrupt.again()}"
 
 
-def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Path, out: Path) -> HydroModel:
-    """Model refitted to the free swims of all rounds and, thinned to `SWIMS` s, of the first data set.
+def refitted(robot: Robot, model: HydroModel, first: Sequence[SegmentDataset], solver: Path, out: Path) -> HydroModel:
+    """Model refitted to the free swims of all rounds and, thinned to `SWIMS` s, of the first data sets.
 
     Args:
         out: folder of the rounds; finished stages of the fit are kept there.
@@ -339,13 +341,14 @@ def refitted(robot: Robot, model: HydroModel, first: SegmentDataset, solver: Pat
 
     use_cores_as_devices()
     keep = lambda r: not r.meta.get("replicate_of") and (is_free(r) or flaps(r))
-    of = lambda data, split: [r for r in data.records(split, slip=model.slip) if keep(r)]
+    of = lambda sets, split: [r for data in sets for r in data.records(split, slip=model.slip) if keep(r)]
     added = open_dataset(solver)
-    new, old = ({split: of(data, split) for split in ("train", "val")} for data in (added, first))
+    new, old = ({split: of(sets, split) for split in ("train", "val")} for sets in ([added], first))
     room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
     every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
     water = {key: model.dataset[key] for key in ("grid", "boundary") if key in model.dataset}
-    made = {"sha256": added.sha256, "folder": solver.name, "first": first.sha256, "origin": "synthetic"} | water
+    before = ", ".join(data.sha256 for data in first)
+    made = {"sha256": added.sha256, "folder": solver.name, "first": before, "origin": "synthetic"} | water
     again = Refit(robot, model, new["train"] + old["train"][::every], (old["val"], new["val"]), dataset=made, folder=out / "fit")
 
     def words() -> str:
