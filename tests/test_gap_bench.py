@@ -8,9 +8,9 @@ import pytest
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, UsageError
+from fishmj.base.workers import ask_all
 from fishmj.gap.bench import bench_command, bench_rows, cases, solver
 from fishmj.gap.bench.score import score
-from fishmj.base.workers import ask_all
 
 ROW = {"id": "a", "kind": "single", "answer": "NAMED", "truth": {"command_latency": {"delay": 0.05}}, "rivals": []}
 ROW |= {"true_gap": 9.0, "beyond_gap": 9.0, "gap_unseen": None, "gap_before": 2.0, "seconds": 1.0}

@@ -14,6 +14,7 @@ from fishmj.engines.hybrid.engine import HybridEngine
 from fishmj.engines.hybrid.hybrid_segment import FreeSwim, Replay
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import protocol, run_trials
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.log import read_dataset, read_trial, write_trial
 from fishmj.mjcf import load_robot
 from fishmj.sim import Sim
@@ -202,7 +203,7 @@ def test_times_that_cannot_be_are_refused(times):
 
 def test_the_tank_has_mujocos_eddies_on_its_own_mean():
     """At the begin of the segment the two flows differ by the means alone, wherever one looks; later the eddies ride on."""
-    tanks = tanks_of_the_solver.Tanks(STRIPS, domain="laptop", device="cpu", stream=Flow(speed=0.25))
+    tanks = tanks_of_the_solver.Tanks(STRIPS, PLAIN._replace(domain="laptop"), device="cpu", stream=Flow(speed=0.25))
     segment = _segment_at(tick=400)
     flow, points, t = tanks.flow(segment), np.random.default_rng(1).normal(size=(40, 3)), 8.0
     np.testing.assert_allclose(flow.at(points, t) - GUSTY.at(points, t), np.tile([0.05, 0, 0], (40, 1)), atol=1e-9)
@@ -227,8 +228,8 @@ def made_up(monkeypatch):
     options: list = []
 
     class Made(Better):
-        def __init__(self, robot, **given):
-            options.append(given)
+        def __init__(self, robot, water, **given):
+            options.append({"water": water, **given})
             super().__init__(Replay(robot), stream=MORE)
 
     monkeypatch.setattr(tanks_of_the_solver, "Tanks", Made)
@@ -243,7 +244,7 @@ def test_sim_swims_corrected_and_logs_it(made_up, tmp_path):
     trials = [sim.run(lambda t: wave(round(t / 0.02)), 4.0) for sim in sims]
     np.testing.assert_array_equal(*(trial.tables["truth"]["x"] for trial in trials))
     told = read_trial(write_trial(tmp_path / "trial", trials[0])).meta
-    assert told["water"] == "hybrid" and told["hybrid"]["segments"][0]["moved"] and made_up[0]["slip"] == 0.98
+    assert told["water"] == "hybrid" and told["hybrid"]["segments"][0]["moved"] and made_up[0]["water"].slip == 0.98
     np.testing.assert_allclose(told["hybrid"]["stream"], MORE, atol=0.015)
     alone = Sim("fish", flow=GUSTY, pose=(0, 0, np.pi)).run(lambda t: wave(round(t / 0.02)), 4.0)
     x, y = (t.tables["truth"]["x"] for t in (trials[0], alone))

@@ -9,10 +9,13 @@ import pytest
 from test_hybrid import MORE, Better, swum
 
 from fishmj import engines
+from fishmj.engines.hybrid import HybridOptions
 from fishmj.engines.hybrid import tanks as tanks_of_the_solver
 from fishmj.engines.hybrid.hybrid_segment import Replay
 from fishmj.evaluate import run_trials
 from fishmj.evaluate.hybrid_trials import hybrid_trials_command
+from fishmj.lbm_oracle.run.solver_water import PLAIN, REFERENCE
+from fishmj.mjcf import load_robot
 from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Flow
@@ -27,7 +30,8 @@ def test_what_is_wrong_is_wrong_about_the_water_or_the_tank_alone():
     args, all_of_them = arguments()
     right = all_of_them["none"]
     for name, one in all_of_them.items():
-        assert one.options(args).box(one.robot) == "window_coarse" and one.options(args).slip == (0.98 if name == "slip" else 1.0)
+        water = one.options(args).solver(one.robot)
+        assert water == PLAIN._replace(domain="window_coarse", slip=0.98 if name == "slip" else 1.0)
         assert choice.label(one.robot) == ("swift-noslip" if name == "tail" else "swift")
     k, wrong = (np.array(one.robot.water["k"]) for one in (right, all_of_them["added_mass"]))
     np.testing.assert_allclose(wrong / k, [1, 1, 1, 0.7])
@@ -36,6 +40,16 @@ def test_what_is_wrong_is_wrong_about_the_water_or_the_tank_alone():
         short._replace(strips=right.chain.strips) == right.chain and short.strips.mu[-1][0] < 0.95 * right.chain.strips.mu[-1][0]
     )
     assert all_of_them["stream"].options(args).tank.speed == pytest.approx(0.25)
+
+
+def test_the_tanks_have_the_slip_and_the_boundary_of_the_water_that_is_asked_for():
+    """Also where the condition's own fit was made in other tanks, as that of the sticking hull."""
+    args, all_of_them = arguments("--model", "swift-reference", "--noslip", "swift-noslip")
+    right = PLAIN._replace(domain=REFERENCE.window, slip=REFERENCE.slip, sharpness=REFERENCE.sharpness)
+    for name, one in all_of_them.items():
+        expected = right._replace(slip=0.97) if name == "slip" else right
+        assert one.options(args).solver(one.robot) == expected
+    assert HybridOptions().solver(choice.in_water(load_robot("fish"), "swift-reference")) == right
 
 
 def test_a_shorter_tail_swims_slower():
@@ -123,7 +137,7 @@ def test_the_verb_swims_three_times_and_goes_on_where_it_was(tmp_path, monkeypat
     swum_before: list = []
     options: list = []
 
-    def tanks(robot, **given):
+    def tanks(robot, water, **given):
         options.append(given)
         return Better(Replay(robot), stream=MORE)
 
@@ -136,7 +150,7 @@ def test_the_verb_swims_three_times_and_goes_on_where_it_was(tmp_path, monkeypat
     asked = "--wrong stream --episodes 2 --seconds 35 --own 0.5 --device cpu --json --out".split()
     code = hybrid_trials_command.main([*asked, str(tmp_path)])
     found = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-    assert swum_before[0]["domain"] == "window_coarse" and options[-1]["stream"].speed == pytest.approx(0.25)
+    assert swum_before[0]["water"].domain == "window_coarse" and options[-1]["stream"].speed == pytest.approx(0.25)
     assert [row["condition"] for row in found["conditions"]] == ["none", "stream"] and code == (0 if found["ok"] else 1)
     stream = found["conditions"][1]
     assert stream["solver_share"] == pytest.approx(0.1, rel=0.01)
@@ -149,7 +163,7 @@ def test_the_verb_swims_three_times_and_goes_on_where_it_was(tmp_path, monkeypat
 @pytest.mark.slow
 def test_water_that_is_right_by_construction_passes(tmp_path, monkeypatch, capsys):
     """The better water is MuJoCo's own, in the trials by another engine and in the segments by the closed form."""
-    monkeypatch.setattr(tanks_of_the_solver, "Tanks", lambda robot, **given: Better(Replay(robot)))
+    monkeypatch.setattr(tanks_of_the_solver, "Tanks", lambda robot, *_, **given: Better(Replay(robot)))
     solved = lambda brain, robot, trials, folder, **water: run_trials.run(brain, robot, trials, engines.make("planar", robot))
     monkeypatch.setattr(hybrid_trials_command.run_trials, "judge_in_solver", solved)
     asked = "--wrong none --episodes 6 --seconds 35 --device cpu --json --out".split()

@@ -16,6 +16,7 @@ from fishmj.evaluate.rank_waters import compare_waters, rank
 from fishmj.evaluate.rank_waters import rank_waters_command as rank_command
 from fishmj.hydro_fit.__main__ import main
 from fishmj.lbm_oracle.run.domain import preset
+from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf import load_robot
 from fishmj.water.flow import stack
 from fishmj.water.hydro_model import HydroModel
@@ -225,7 +226,7 @@ def test_the_solver_is_asked_again_a_part_of_a_cell_away_and_both_are_kept(tmp_p
 def test_the_same_water_twice_has_no_gap(solver, tmp_path):
     brains = [control.make(name, ROBOT) for name in ("pd", "paper")]
     plan = compare_waters.spread(trials(repeats=1, duration=2.0, speeds=[0.2]))
-    solved = compare_waters.in_solver(ROBOT, tmp_path, domain="laptop", slip=1.0, device="cpu", tanks=8)
+    solved = compare_waters.in_solver(ROBOT, tmp_path, PLAIN._replace(domain="laptop"), device="cpu", tanks=8)
     _, a = compare_waters.solve(brains, plan, solved, group=8)
     b = compare_waters.swim(brains, plan, compare_waters.in_surrogate(ROBOT))
     found = rank.judged(KEY, *([{name: figures[KEY] for name, figures in water.items()}] for water in (a, b)))

@@ -74,7 +74,7 @@ def options() -> console.Parser:
     add("--domain", choices=BOXES, help=f"{box}; laptop is a preview, _refined has finer cells round the fish")
     cell = "of the cells of --water lbm; the box keeps its size, a box round the fish its half cells; default that of --domain"
     add("--dx", type=console.number(0.002, 0.1), metavar="M", help=cell)
-    slip = "of the hull in the flow solver, at the paper's grid: 1 slides, 0 sticks; default 1"
+    slip = "of the hull in the flow solver, at the paper's grid: 1 slides, 0 sticks; default 1, of hybrid the fitted water's"
     add("--slip", type=console.number(0, 1), help=slip)
     boundary_option(add, default=None)
     bits = "of the populations of --water lbm: float16 is half the memory traffic; default float32"
@@ -255,13 +255,12 @@ def hybrid_options(args, robot, trials, brains: int):
 
     if several(args.device):
         raise ConfigError(f"evaluate --water hybrid: --device {args.device}: its tanks share one; take auto, cpu or cuda:N")
-    slip = PLAIN.slip if args.slip is None else args.slip
     device = ray_device(args.device) if args.ray else args.device
-    asked: dict = {"domain": args.domain, "slip": slip, "device": device, "side_by_side": args.tanks, "wait": True}
+    asked: dict = {"domain": args.domain, "slip": args.slip, "device": device, "side_by_side": args.tanks, "wait": True}
     made = HybridOptions(**asked | ({} if args.every is None else {"every": args.every}))
     segments = max(0, 1 + (trials.duration - made.first - made.lead - made.span) // made.every) * len(trials) * brains
     less = "--domain laptop is a preview; --repeats 1 --speeds 0.2 --los 0 is one trial"
-    work = [(level, segments * (made.lead + made.span)) for level in preset(made.box(robot)).levels]
+    work = [(level, segments * (made.lead + made.span)) for level in preset(made.solver(robot).domain).levels]
     if not args.ray:
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
     return made

@@ -21,12 +21,13 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json, write_json
 from fishmj.hydro_fit.campaign.dagger import dagger
-from fishmj.hydro_fit.campaign.data.collect import Local, Pool, boundary_of_model, domain_of_model, tanks_on
+from fishmj.hydro_fit.campaign.data.collect import Local, Pool, domain_of_model, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
+from fishmj.lbm_oracle.run.solver_water import boundary_of
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.train.begin import begin_with
 from fishmj.train.build import settled, water_for
@@ -72,7 +73,7 @@ def train_and_correct(
     write_json(folder / FILE, about)
     data = open_dataset(Path("data") / "hydro" / robot.name)
     devices = devices_of(device)
-    setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=boundary_of_model(model))
+    setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=boundary_of(model.dataset))
     pool = pool or Local(tanks_on(devices[0]), devices)
     made: list[Path] = []
 

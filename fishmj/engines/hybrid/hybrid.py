@@ -33,6 +33,7 @@ from fishmj.engines.hybrid import online_correction
 from fishmj.engines.hybrid.hybrid_segment import FreeSwim, HybridSegment, Misses, Oracle, Replay
 from fishmj.engines.hybrid.online_correction import FACTORS, Correction
 from fishmj.lbm_oracle.run.domain import PREVIEWS
+from fishmj.lbm_oracle.run.solver_water import PLAIN, SolverWater, boundary_entry, boundary_of
 from fishmj.mjcf.description import Robot
 from fishmj.water import choice
 from fishmj.water.flow import Current, Flow, shifted
@@ -50,8 +51,8 @@ class HybridOptions:
 
     Attributes:
         first, every, lead, span: s; from `first` on the solver swims (lead + span) of every `every`.
-        domain: box of water by name; None: the one in which the fitted water was made. `laptop` is a preview.
-        slip: slip ratio of the hull in the solver. device: auto, cpu, cuda or cuda:N.
+        domain, slip, boundary: of the solver: box by name (`laptop` is a preview), slip ratio of the hull, immersed boundary by
+            name; None: those with which the segments of the fitted water were solved. device: auto, cpu, cuda or cuda:N.
         tank: flow whose mean is the stream of the tanks, with MuJoCo's eddies; None: MuJoCo's own stream.
         patience: wall-clock s for a segment; a later one is dropped. side_by_side: tanks at a time.
         wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
@@ -64,7 +65,8 @@ class HybridOptions:
     lead: float = setting(1.5, number(0, 60, above=True), LEAD)
     span: float = SPAN
     domain: str | None = None
-    slip: float = 1.0
+    slip: float | None = None
+    boundary: str | None = None
     device: str = "auto"
     tank: Flow | None = None
     own: float = setting(OWN, number(0, 1e6, above=True), "mean square miss of a right water")
@@ -77,14 +79,20 @@ class HybridOptions:
             got = f"first {self.first}, lead {self.lead} and span {self.span} s"
             raise ConfigError(f"hybrid: {got}; expected first >= 0, lead and span > 0, and both within {self.every} s")
 
-    def box(self, robot: Robot) -> str:
-        """Name of the box of water."""
+    def solver(self, robot: Robot) -> SolverWater:
+        """Water of the tanks. Raises ConfigError: a boundary without this name."""
         name = robot.name if choice.label(robot) == choice.FITTED else choice.label(robot)
-        return self.domain or (BOX if name in choice.KINDS else str(choice.fitted_water(name).dataset.get("grid", BOX)))
+        fitted = None if name in choice.KINDS else choice.fitted_water(name)
+        made, slip = (fitted.dataset, fitted.slip) if fitted is not None else ({}, PLAIN.slip)
+        return PLAIN._replace(
+            domain=self.domain or str(made.get("grid", BOX)),
+            slip=slip if self.slip is None else self.slip,
+            sharpness=boundary_of({"boundary": self.boundary} if self.boundary else made),
+        )
 
     def label(self, robot: Robot) -> str:
         """One line for tables: all options that a swim depends on."""
-        return f"hybrid, {self.box(robot)}, slip {self.slip:g}, {self.lead + self.span:g} of {self.every:g} s"
+        return f"hybrid, {self.solver(robot).label}, {self.lead + self.span:g} of {self.every:g} s"
 
 
 @dataclass
@@ -164,10 +172,10 @@ class Hybrid:
     ):  # fmt: skip
         options = checked_kind("hybrid: options", options, HybridOptions) or HybridOptions()
         self.robot, self.options, self.kind = robot, options, kind or Flow()
-        self.domain = self.options.box(robot)
-        if oracle is None and self.domain in PREVIEWS:
+        self.water = self.options.solver(robot)
+        if oracle is None and self.water.domain in PREVIEWS:
             console.warn(
-                f"hybrid: the box {self.domain} is a preview: its coarse water is not the one that the robot's was fitted to"
+                f"hybrid: the box {self.water.domain} is a preview: its water is not the one that the robot's was fitted to"
             )
         self._oracle, self._replay = oracle, replay or Replay(robot)
         self.size = robot.timing.bus_dt
@@ -213,7 +221,8 @@ class Hybrid:
         """Report: options, segments by time, factors and stream with their standard deviations, and the reason of the end."""
         o, state = self.options, self.states[fish] if self.states else online_correction.fresh()
         covered = len(self.rows[fish]) * (o.lead + o.span) if self.rows else 0.0
-        base = {"domain": self.domain, "slip": o.slip, "every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
+        base = {"domain": self.water.domain, "slip": self.water.slip, **boundary_entry(self.water.sharpness)}
+        base |= {"every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
         share = covered / max((self._last + 1) * self.size, self.size)
         return {**base, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
 
@@ -265,8 +274,8 @@ class Hybrid:
             from fishmj.engines.hybrid.tanks import Tanks
 
             o = self.options
-            water: dict[str, Any] = {"domain": self.domain, "slip": o.slip, "device": o.device, "stream": o.tank}
-            self._oracle = Tanks(self.robot, **water, side_by_side=o.side_by_side, go_on=lambda: not self._over)
+            how: dict[str, Any] = {"device": o.device, "stream": o.tank, "side_by_side": o.side_by_side}
+            self._oracle = Tanks(self.robot, self.water, **how, go_on=lambda: not self._over)
         return self._oracle
 
     # ---- results ----

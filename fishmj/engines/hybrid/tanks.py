@@ -13,6 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from fishmj.engines import lbm
 from fishmj.engines.hybrid.hybrid_segment import FreeSwim, HybridSegment
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
+from fishmj.lbm_oracle.run.solver_water import SolverWater
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.model import reference_qpos
 from fishmj.water.flow import DrawnFlow, Flow, shifted
@@ -22,17 +23,18 @@ class Tanks:
     """The flow solver as the better water.
 
     Args:
-        domain: box of water by name. slip: slip ratio of the hull there. device: auto, cpu or cuda.
+        water: of the solver. device: auto, cpu or cuda.
         stream: flow whose mean is that of the tanks; None: MuJoCo's own. side_by_side: segments at a time.
         go_on: called before every tick; False ends the segments.
     """
 
     def __init__(
-        self, robot: Robot, *, domain: str, slip: float = 1.0, device: str = "auto", stream: Flow | None = None,
+        self, robot: Robot, water: SolverWater, *, device: str = "auto", stream: Flow | None = None,
         side_by_side: int = 12, go_on: Callable[[], bool] = lambda: True,
     ):  # fmt: skip
         self.robot, self.stream, self.side_by_side, self.go_on = robot, stream, side_by_side, go_on
-        self.water: dict[str, Any] = {"domain": domain, "slip": slip, "device": device}
+        box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "device": device}
+        self.water = box | water.immersed
 
     def swim(self, segments: Sequence[HybridSegment]) -> list["FreeSwim | str"]:
         """Swims of the segments in the flow solver; as `Oracle.swim`."""

@@ -4,7 +4,7 @@
     fishmj hydro_fit hybrid --wrong all ...                  every condition, one after the other
     fishmj hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
 
-    none          the water as fitted                slip      the solver at slip 0.98, the water fitted at 1
+    none          the water as fitted                slip      the solver at a slip ratio 0.02 lower than the water's
     tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
     added_mass    the tail's added mass 30 % off     stream    the tank's stream 0.05 m/s faster than MuJoCo's
 
@@ -46,6 +46,7 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import NAMES, PREVIEWS, preset
+from fishmj.lbm_oracle.run.solver_water import SolverWater, boundary_name
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.reading import load_robot
@@ -53,7 +54,7 @@ from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import DrawnFlow, Flow, shifted
 
-SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.98  # of the tail's length, of its added mass; m/s; slip
+SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.02  # of the tail's length, of its added mass; m/s; less slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")
 RENAMED = {"both": "tail"}  # old names
 CONTROL = "none"  # the right water
@@ -107,7 +108,7 @@ def main(argv: list[str]) -> int:
     conditions = [condition(name, args) for name in asked]
     args.tanks = tanks_on(str(device_of(args.device)), args.tanks)
     trials = trials_of(args)
-    box, solved = conditions[0].options(args).box(conditions[0].robot), {(c.slip, c.faster) for c in conditions}
+    box, solved = solver_of(args).domain, {(c.slip, c.faster) for c in conditions}
     share = args.lead + HybridOptions.span
     water = len(trials) * args.seconds * (len(solved) + len(conditions) * share / args.every)
     less = "take fewer --episodes, shorter --seconds; --domain laptop is a preview"
@@ -131,13 +132,15 @@ class StudyCondition:
     name: str
     robot: Robot
     chain: planar_chain.Chain
-    slip: float = 1.0
+    slip: float
     faster: float = 0.0  # m/s
 
     def options(self, args) -> HybridOptions:
         """Options of the hybrid in this condition."""
         tank = Flow(speed=args.speed + self.faster) if self.faster else None
-        water: dict[str, Any] = {"domain": args.domain or box_of(args), "slip": self.slip, "device": args.device, "tank": tank}
+        right = solver_of(args)
+        water: dict[str, Any] = {"domain": right.domain, "slip": self.slip, "boundary": boundary_name(right.sharpness)}
+        water |= {"device": args.device, "tank": tank}
         return HybridOptions(side_by_side=args.tanks or 1, wait=True, **water, **console.settings_of(args, HybridOptions))
 
     def engine(self) -> batch.BatchEngine:
@@ -149,23 +152,24 @@ class StudyCondition:
         return inside
 
 
-def box_of(args) -> str:
-    """Box of water of the right fitted water; a wrong condition does not change the tank."""
-    return HybridOptions().box(choice.in_water(load_robot(args.fish), args.model))
+def solver_of(args) -> SolverWater:
+    """Water of the tanks: that of the right fitted water's segments; the conditions `slip` and `stream` change it."""
+    return HybridOptions(domain=args.domain).solver(choice.in_water(load_robot(args.fish), args.model))
 
 
 def condition(name: str, args) -> StudyCondition:
     """Condition by name."""
     plain = load_robot(args.fish)
     robot = choice.in_water(plain, args.model)
-    chain = planar_chain.chain_of(robot)
+    chain, slip = planar_chain.chain_of(robot), solver_of(args).slip
     if name == "tail":
         wet = args.noslip or f"{choice.label(robot).removesuffix('.toml')}-noslip"
-        return StudyCondition(name, choice.in_water(plain, wet), shorter_tail(robot))
+        return StudyCondition(name, choice.in_water(plain, wet), shorter_tail(robot), slip)
     if name == "added_mass":
         k = [*robot.water["k"][:-1], LESS * robot.water["k"][-1]]
-        return StudyCondition(name, replace(robot, water={**robot.water, "k": k}), chain)
-    return StudyCondition(name, robot, chain, slip=STICKS if name == "slip" else 1.0, faster=FASTER if name == "stream" else 0.0)
+        return StudyCondition(name, replace(robot, water={**robot.water, "k": k}), chain, slip)
+    slip -= STICKS if name == "slip" else 0.0
+    return StudyCondition(name, robot, chain, slip, faster=FASTER if name == "stream" else 0.0)
 
 
 def shorter_tail(robot: Robot) -> planar_chain.Chain:
@@ -231,12 +235,12 @@ def measured(one: StudyCondition, trials: Trials, args) -> dict:
             swims[name] = run_trials.run(brain, one.robot, trials, engine, progress=seen)
         wall[name] = time.perf_counter() - began
     tanks = trials if not one.faster else TankTrials(**vars(trials), faster=one.faster)
-    box: dict[str, Any] = {"domain": hybrid.domain, "slip": one.slip, "device": args.device, "tanks": args.tanks}
+    how: dict[str, Any] = {"water": corrected.hybrid.water, "device": args.device, "tanks": args.tanks}
     began = time.perf_counter()
     with console.Progress(total, f"{one.name}: solver", unit="sim s") as bar:
         seen = lambda k: bar.update(k * one.robot.timing.control_dt)  # noqa: B023  used at once
         asked = choice.in_water(load_robot(args.fish), args.model)  # the fish itself is the same in every condition
-        swims["solver"] = run_trials.judge_in_solver(brain, asked, tanks, Path(args.out), progress=seen, **box)
+        swims["solver"] = run_trials.judge_in_solver(brain, asked, tanks, Path(args.out), progress=seen, **how)
     wall["solver"] = time.perf_counter() - began
     reports = [corrected.hybrid.report(i) for i in range(len(trials))]
     since = hybrid.first + hybrid.lead + hybrid.span

@@ -24,6 +24,7 @@ from fishmj.evaluate.metrics import Result, arrival_tick
 from fishmj.evaluate.protocol import Trials
 from fishmj.evaluate.run_trials import run
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
+from fishmj.lbm_oracle.run.solver_water import SolverWater
 from fishmj.mjcf.description import Robot
 
 KEYS = ("rmse_after_arrival", "rmse_holding")
@@ -47,15 +48,15 @@ def silent(name: str, seconds: float) -> None:
 
 
 def in_solver(
-    robot: Robot, folder: Path, *, domain: str, slip: float, device: str, tanks: int,
+    robot: Robot, folder: Path, water: SolverWater, *, device: str, tanks: int,
     variation: run_trials.Variation = run_trials.UNCHANGED,
 ) -> Water:  # fmt: skip
     """Function that runs trials in the flow solver; `folder` keeps finished ones under the solver's sha256; none is run again."""
     kept = kept_in(folder).parent
 
     def judge(brain, trials: Trials, report: Report) -> Result:
-        box: dict[str, Any] = {"domain": domain, "slip": slip, "device": device, "tanks": tanks, "variation": variation}
-        return run_trials.judge_in_solver(brain, robot, trials, kept, progress=report, **box)
+        how: dict[str, Any] = {"water": water, "device": device, "tanks": tanks, "variation": variation}
+        return run_trials.judge_in_solver(brain, robot, trials, kept, progress=report, **how)
 
     return judge
 

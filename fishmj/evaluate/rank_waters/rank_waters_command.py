@@ -28,6 +28,7 @@ from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
+from fishmj.lbm_oracle.run.solver_water import PLAIN, boundary_entry, boundary_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel, shipped
 
@@ -99,8 +100,8 @@ def main(argv: list[str]) -> int:
     )
     device = str(device_of(args.device))
     tanks = tanks_on(device, args.tanks)
-    box = dict(domain=args.domain, slip=model.slip, device=args.device, tanks=tanks)
-    waters = [compare_waters.in_solver(robot, args.out, **box, variation=run) for run in runs]
+    solver = PLAIN._replace(domain=args.domain, slip=model.slip, sharpness=boundary_of(model.dataset))
+    waters = [compare_waters.in_solver(robot, args.out, solver, device=args.device, tanks=tanks, variation=run) for run in runs]
     beside = [(0.0, 0.0), *(compare_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]
     body = engines.make(args.engine, fitted)
     surrogates = [compare_waters.in_surrogate(fitted, body, shift) for shift in beside]
@@ -171,6 +172,7 @@ def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model
         "model_dataset_sha256": model.dataset.get("sha256", ""),
         "slip": model.slip,
         "domain": args.domain,
+        **boundary_entry(boundary_of(model.dataset)),
         "solver_sha256": solver_sha256(),
         "seed": args.seed,
         "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},

@@ -9,7 +9,7 @@ judged them (docs/solver/results.md, "The reference water").
 kind of treatment is a new field with a default, which `immersed` passes on.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from fishmj.base import console
@@ -32,6 +32,14 @@ def boundary_name(sharpness: Sharpness) -> str:
     """Name of the boundary in `BOUNDARIES`, else its lengths."""
     lengths = repr(sharpness).replace(", edges=False", "")  # as in records from before there were edges
     return next((name for name, known in BOUNDARIES.items() if known == sharpness), lengths)
+
+
+def boundary_of(dataset: Mapping[str, Any]) -> Sharpness:
+    """Boundary with which a data set, or a fitted water's segments, were solved. Raises ConfigError: it has no name here."""
+    name = str(dataset.get("boundary", "plain"))
+    if name not in BOUNDARIES:
+        raise ConfigError(f"fitted water: its segments were solved with boundary {name}; expected {', '.join(BOUNDARIES)}")
+    return BOUNDARIES[name]
 
 
 def boundary_entry(sharpness: Sharpness) -> dict[str, str]:

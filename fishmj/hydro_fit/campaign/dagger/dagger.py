@@ -37,7 +37,7 @@ from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, boundary_of_model, collect, domain_of_model, tanks_on
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model, tanks_on
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
@@ -46,7 +46,7 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run_log import flow_at_links
-from fishmj.lbm_oracle.run.solver_water import boundary_name
+from fishmj.lbm_oracle.run.solver_water import boundary_name, boundary_of
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import arrived_of, on_the_bus
@@ -296,7 +296,7 @@ def main(argv: list[str]) -> int:
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = [open_dataset(folder) for folder in args.data or [Path("data") / "hydro" / robot.name]]
-    box, edge = domain_of_model(args.domain, began), boundary_of_model(began)
+    box, edge = domain_of_model(args.domain, began), boundary_of(began.dataset)
     words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
     here = words(box.name, boundary_name(edge))
     for data in first:

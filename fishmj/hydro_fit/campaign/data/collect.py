@@ -29,7 +29,6 @@ from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import files, write_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.lbm_oracle.fluid.device import devices_of
-from fishmj.lbm_oracle.immersed.markers import Sharpness
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_option
@@ -349,14 +348,6 @@ def domain_there(folder: Path) -> Domain:
 def domain_of_model(asked: str | None, model: HydroModel) -> Domain:
     """Domain of the option, else the one in which the model's segments were solved: another grid is another water."""
     return preset(asked or str(model.dataset.get("grid", BOX)))
-
-
-def boundary_of_model(model: HydroModel) -> Sharpness:
-    """Boundary with which the model's segments were solved. Raises ConfigError: it has no name here."""
-    name = str(model.dataset.get("boundary", "plain"))
-    if name not in BOUNDARIES:
-        raise ConfigError(f"water {model.name}: its segments were solved with boundary {name}; expected {', '.join(BOUNDARIES)}")
-    return BOUNDARIES[name]
 
 
 def default_folder(plan: CampaignPlan) -> Path:
