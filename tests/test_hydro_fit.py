@@ -282,6 +282,16 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
     assert all(0.87 < value < 0.93 for value in prediction_interval.covered(*drawn(4000), made).values())
 
 
+def test_members_that_are_equal_but_for_round_off_add_nothing_to_the_error_bar():
+    rng = np.random.default_rng(0)
+    value = rng.uniform(0.1, 0.4, 60)
+    of = lambda a: prediction_interval.Means(*[a] * 3)
+    members = [of(value * (1 + 1e-16 * k)) for k in range(4)]
+    made = prediction_interval.fit_band(of(value), members, of(value + rng.normal(0, 0.02, 60)), np.arange(60) < 50)
+    for offset, share, spread in made.values():
+        assert spread == 0.0 and 0.0 < offset < 0.1 and share < 1.0
+
+
 @pytest.mark.slow
 def test_fresh_swims_make_a_band_of_any_width_hold_nine_of_ten(learnt, records, monkeypatch):
     _, model, _ = learnt

@@ -32,6 +32,7 @@ from fishmj.water.prior import flat
 CHANNELS = ("speed", "yaw_rate", "power")
 COVER = 0.90
 ROUNDS, LEAST = 10, 1e-3  # of weighting; of the whole variance, so that no swim is expected to be exact
+NOTHING = 1e-9  # of the whole variance: a part that small tells nothing
 FEWEST = 40  # swims of a calibration: with fewer the factor hangs on the worst few
 
 
@@ -90,7 +91,9 @@ def _variance(parts: np.ndarray, square: np.ndarray) -> np.ndarray:
     """Three parts of a variance, none negative, the first at least `LEAST` of the whole."""
     from scipy.optimize import nnls
 
-    whole, size = float(square.mean()) + 1e-18, parts.mean(0) + 1e-18
+    whole = float(square.mean()) + 1e-18
+    size = parts.mean(0)
+    size[size < NOTHING * whole] = np.inf  # members that are equal but for round-off would get any factor
     expected = np.full(len(square), whole)
     for _ in range(ROUNDS):
         found, _ = nnls(parts / size / expected[:, None], square / expected)
