@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import hidden_water as hidden
 import jax
@@ -280,6 +281,46 @@ def test_the_band_holds_nine_of_ten_swims_it_has_not_seen():
     offset, share, spread = made["speed"]
     assert spread == pytest.approx(1.645 * 1.5, rel=0.2) and share < 0.1 and offset < 0.05
     assert all(0.87 < value < 0.93 for value in prediction_interval.covered(*drawn(4000), made).values())
+
+
+def test_the_factors_of_members_are_found_again():
+    water, links = flat(planar_chain.nominal(ROBOT).water), len(ROBOT.links)
+    drawn = np.random.default_rng(1).normal(0, 0.1, (3, len(gauss_newton.groups(links))))
+    members = [gauss_newton.scaled(water, row, links, prior_of(ROBOT)) for row in drawn]
+    again = [gauss_newton.scaled(water, row, links, prior_of(ROBOT)) for row in gauss_newton.factors_of(water, members, links)]
+    np.testing.assert_allclose(again, members, rtol=1e-12)
+    assert np.ptp(members, axis=0).max() > 0.01 and gauss_newton.factors_of(water, [], links).shape == (0, drawn.shape[1])
+
+
+def test_factors_that_are_not_taken_are_still_uncertain(monkeypatch):
+    """Swims that hold the first factor fast and say nothing of the others, which keep the spread of the prior."""
+    water = flat(planar_chain.nominal(ROBOT).water)
+    fit = object.__new__(FitPipeline)
+    vars(fit).update(
+        robot=ROBOT, chain=planar_chain.chain_of(ROBOT), settings=FitSettings(members=400), notes=[], found={}, loop=Loop()
+    )
+    vars(fit).update(train=[], limits=prior_of(ROBOT), given=None)
+    match = SimpleNamespace(residuals=lambda rows: 1.0 + 100.0 * (rows[:, :1] / water[0] - 1.0))
+    scores = iter((1.0, 2.0))
+    monkeypatch.setattr(FitPipeline, "_match", lambda self, records, learnt: match)
+    monkeypatch.setattr(FitPipeline, "score", lambda self, water, learnt: next(scores))
+    monkeypatch.setattr(FitPipeline, "_report", lambda self, *_, **figures: None)
+    made = fit._gauss_newton({"water": water}, None, "rollout")
+    assert (
+        fit.notes == ["rollout: not taken, validation 1 -> 2"]
+        and made["water"].tolist() == made["alone"].tolist() == water.tolist()
+    )
+    spread = made["factors"].std(0)
+    assert spread[0] == pytest.approx(0.01, rel=0.15) and np.allclose(spread[1:], gauss_newton.SPREAD, rtol=0.15)
+
+
+def test_a_refit_begins_with_the_members_of_its_model():
+    model = HydroModel.load("swift")
+    again = object.__new__(Refit)
+    vars(again).update(model=model, chain=planar_chain.chain_of(ROBOT))
+    state = again._first()
+    made = [gauss_newton.scaled(flat(model.base), row, len(ROBOT.links), prior_of(ROBOT)) for row in state["factors"]]
+    np.testing.assert_allclose(made, model.members, rtol=1e-5)
 
 
 def test_members_that_are_equal_but_for_round_off_add_nothing_to_the_error_bar():

@@ -182,15 +182,21 @@ class FitPipeline:
         after = self.score(flat(done.water), learnt)
         if after > before:
             self.notes.append(f"{stage}: not taken, validation {before:.4g} -> {after:.4g}")
-            return {} if learnt is not None else self._unmoved(state)
-        self.found[stage] = done.found.table()
-        names = len(done.found.parameters)
-        normal = done.jacobian.T @ done.jacobian + np.eye(names) / gauss_newton.SPREAD**2
-        # members of the error bar: draws from the Laplace approximation N(x, (J^T J + prior)^-1) of the factors
-        draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, names))
-        factors = np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
+            if learnt is not None:
+                return {}
+            # the factors stay, and are as uncertain as the swims and the prior leave them there
+            done = gauss_newton.fit_rollout(self.robot, self.chain, match, start, rounds=0)
+        else:
+            self.found[stage] = done.found.table()
+        factors = self._drawn(done.jacobian)
         new = {"water": flat(done.water), "factors": factors}
         return new if learnt is not None else new | {"alone": new["water"], "alone_factors": factors}
+
+    def _drawn(self, jacobian: np.ndarray) -> np.ndarray:
+        """Factors (E, S) of the error bar's members: draws from the Laplace approximation N(0, (J^T J + prior)^-1)."""
+        normal = jacobian.T @ jacobian + np.eye(jacobian.shape[1]) / gauss_newton.SPREAD**2
+        draws = np.random.default_rng([53, self.settings.seed]).standard_normal((self.settings.members, len(normal)))
+        return np.linalg.solve(np.linalg.cholesky(normal).T, draws.T).T
 
     def _unmoved(self, state) -> dict:
         still = np.zeros((self.settings.members, len(gauss_newton.groups(self.chain.n))))

@@ -6,7 +6,7 @@ velocity, yaw rate and servo power over windows, and held fish in mean thrust. S
 The Jacobian is by differences, all perturbed waters in one batch.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +70,17 @@ def scaled(water: np.ndarray, factors: np.ndarray, links: int, limits: Prior) ->
     a, b = names.index("lift_a"), names.index("lift_b")
     out[a] = max(out[a], 0.5 - out[b])
     return out
+
+
+def factors_of(water: np.ndarray, members: Sequence[np.ndarray] | np.ndarray, links: int) -> np.ndarray:
+    """Factors (E, S) with which `scaled` makes these members of the water, where no bound was met; 0 where either is 0."""
+    names, factors = names_of(links), np.zeros((len(members), len(groups(links))))
+    for column, group in zip(factors.T, groups(links).values(), strict=True):
+        at = next((i for i in map(names.index, group) if water[i] > 0), None)
+        for e, member in enumerate(members):
+            if at is not None and member[at] > 0:
+                column[e] = np.log(member[at] / water[at])
+    return factors
 
 
 class Match:

@@ -16,7 +16,7 @@ import numpy as np
 
 from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.fit_pipeline import FitPipeline, FitSettings
-from fishmj.hydro_fit.fit.gauss_newton import groups
+from fishmj.hydro_fit.fit.gauss_newton import factors_of
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
@@ -56,8 +56,9 @@ class Refit(FitPipeline):
 
     def _first(self) -> dict[str, Any]:
         """State of a fit at its swims, from the model."""
-        model, still = self.model, np.zeros((self.settings.members, len(groups(self.chain.n))))
-        state: dict[str, Any] = {"water": flat(model.base), "factors": still, "alone": model.alone[0], "alone_factors": still}
+        model, water, (alone, *others) = self.model, flat(self.model.base), self.model.alone
+        state: dict[str, Any] = {"water": water, "factors": factors_of(water, model.members, self.chain.n)}
+        state |= {"alone": alone, "alone_factors": factors_of(alone, others, self.chain.n)}
         return state if model.learnt is None else state | residual_hooks.packed(model.learnt)
 
     def _swims(self, state) -> dict:
