@@ -274,7 +274,7 @@ def campaign(size=1.0, seed=0, split="train", seconds=8.0, **world):
 
 def write_dataset(folder, records):
     """Records as a data set on disk, as a campaign leaves it."""
-    about = {"robot": {"name": ROBOT.name, "joints": J, "sha256": "synthetic"}}
+    about = {"robot": {"name": ROBOT.name, "joints": J, "sha256": segment_dataset.fingerprint(ROBOT)}}
     grid = {"domain": "synthetic", "dx": 0.0, "dt": CHAIN.dt, "slip": 1.0}
     for r in records:
         arrays = {key: getattr(r, key) for key in record.UNITS if key != "power" or np.isfinite(r.power).all()}

@@ -11,6 +11,7 @@ from ray_toys import toy
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, DatasetError
+from fishmj.hydro_fit import segment_dataset
 from fishmj.hydro_fit.campaign.data import plan, run_segments, solver_hash
 from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, domain_of_model, main
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive
@@ -72,10 +73,10 @@ def test_fingerprint_of_a_fish_depends_on_mass_not_on_colour_or_water():
     painted = replace(FISH, links=(replace(FISH.links[0], colour=(0.0, 0.0, 0.0)), *FISH.links[1:]))
     heavier = replace(FISH, links=(replace(FISH.links[0], mass=0.8), *FISH.links[1:]))
     assert (
-        run_segments.fingerprint(FISH)
-        == run_segments.fingerprint(water)
-        == run_segments.fingerprint(painted)
-        != run_segments.fingerprint(heavier)
+        segment_dataset.fingerprint(FISH)
+        == segment_dataset.fingerprint(water)
+        == segment_dataset.fingerprint(painted)
+        != segment_dataset.fingerprint(heavier)
     )
 
 

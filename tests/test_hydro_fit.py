@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fishmj.base import console
-from fishmj.base.errors import DatasetError, UsageError
+from fishmj.base.errors import ConfigError, DatasetError, UsageError
 from fishmj.engines.hybrid import online_correction
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import free_swims
@@ -218,6 +218,8 @@ def test_training_records_validate_where_no_others_do(records, tmp_path):
     data = open_dataset(hidden.write_dataset(tmp_path / "set", records["train"]))
     train, val = verb.fitted_parts(data, ROBOT, 1.0)
     assert len(val) == len(train) // 4 and not {r.id for r in train} & {r.id for r in val}
+    with pytest.raises(ConfigError, match="segments of another fish, 'swift' with another body"):
+        verb.fitted_parts(data, replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)), 1.0)
 
 
 def test_a_better_model_is_never_overwritten(fitted, tmp_path):

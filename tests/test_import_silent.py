@@ -1,5 +1,7 @@
 """`fishmj log import`: files of two meanings are asked or refused, never read as one of them in silence."""
 
+import shutil
+
 import lab_files
 import numpy as np
 import pytest
@@ -37,6 +39,20 @@ def test_one_file_of_several_in_another_unit_is_asked(tmp_path, bring, column, m
         lab_files.write(tmp_path / "in" / f"{name}.csv", {"time": T, **place, column: values})
     code, _, err = bring(tmp_path / "in", "--yes")
     assert code == 2 and told in err and f"--set {column}=" in err
+
+
+def test_numbered_columns_of_an_unknown_name_may_be_the_joints(tmp_path, bring):
+    """They are asked about where the log holds no joint; left out where it does, or where they hold no motion."""
+    place = {"x": 0.1 * T, "y": 0.0 * T, "yaw": 0.0 * T}
+    motors = {f"m{k + 1}": 20 * q for k, q in enumerate(SWING)}
+    lab_files.write(tmp_path / "bare" / "a.csv", {"time": T, **place, **motors})
+    code, _, err = bring(tmp_path / "bare", "--yes")
+    assert code == 2 and "m2: may be joint 2 of 3" in err and "--set m2=cmd.c2:rad or cmd.c2:deg or joint.j2" in err
+    for name, more in (("known", {**motors, **servos(unit="_rad")}), ("still", {key: 0 * T for key in motors})):
+        lab_files.write(tmp_path / name / "a.csv", {"time": T, **place, **more})
+        code, out, err = bring(tmp_path / name, "--yes")
+        assert code == 0 and "m2" in out and "says nothing" in out, err
+        shutil.rmtree(tmp_path / "set")
 
 
 def test_time_in_ms_in_one_file_and_in_s_in_another_is_asked(tmp_path, bring):

@@ -96,7 +96,7 @@ def test_a_tenth_of_a_length_is_taken(tmp_path, scale):
     ("robot", "said"),
     [
         (longer(1.2), "made for a head of 0.215 m, the robot's is 0.258 m"),
-        (replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)), "made for servos of +-1.047 rad, the robot's have +-0.8 rad"),
+        (replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)), "made for servos of +-60 deg, the robot's have +-45.8 deg"),
         (
             replace(ROBOT, links=(ROBOT.links[0], ROBOT.links[2], ROBOT.links[1], ROBOT.links[3])),
             "4 links (head, body1, body2, tail), the robot has 4 links (head, body2, body1, tail)",

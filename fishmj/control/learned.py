@@ -20,7 +20,7 @@ from fishmj.water.water_identity import water_identity
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
 TOLD = ("robot", "structure_sha256", "constants_sha256", "water", "command_path", "seed", "command")  # of a header
-OTHERS = "the controller drift serves any robot, and fishmj train --robot FILE makes a policy for this one"
+OTHERS = "the controller dob steers any fish, and fishmj train --robot FILE makes a policy for this one"
 
 
 class LearnedController:

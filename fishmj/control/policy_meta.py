@@ -17,6 +17,8 @@ import re
 from hashlib import sha256
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import is_name
 
@@ -212,7 +214,8 @@ def _differences(theirs: dict, ours: dict) -> list[str]:
         a, b = theirs["reference_point"], ours["reference_point"]
         found.append(f"made for a reference point {a:.3g} m behind the nose, the robot's is {b:.3g} m")
     if "servo_range" in theirs and abs(theirs["servo_range"] / ours["servo_range"] - 1) > SAME:
-        found.append(f"made for servos of +-{theirs['servo_range']:.4g} rad, the robot's have +-{ours['servo_range']:.4g} rad")
+        made_for, has = (np.degrees(of["servo_range"]) for of in (theirs, ours))
+        found.append(f"made for servos of +-{made_for:.3g} deg, the robot's have +-{has:.3g} deg")
     return found
 
 

@@ -11,7 +11,7 @@ from fishmj.base.errors import ConfigError, DatasetError, FishmjError, StoreErro
 from fishmj.base.store import sha256
 from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SegmentRecord
-from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset
+from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset, same_fish
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
@@ -144,7 +144,7 @@ def slip_of(data: SegmentDataset, asked: float | None, model: HydroModel | None 
 def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> list[SegmentRecord]:
     """Records of one part at one slip ratio, without repeats.
 
-    Raises ConfigError: the data are of another robot, or the part is empty.
+    Raises ConfigError: the data are of another robot or body, or the part is empty.
     """
     about = data.robot
     if (about["name"], about["joints"]) != (robot.name, robot.n_joints):
@@ -152,6 +152,7 @@ def records_of(data: SegmentDataset, robot: Robot, split: str, slip: float) -> l
             f"{data.folder}: data of robot {about['name']!r} with {about['joints']} joints, got {robot.name!r} with"
             f" {robot.n_joints}; collect for this fish, or give --data"
         )
+    same_fish(about, robot, data.folder)
     found = [r for r in data.records(split, slip=slip) if not r.meta.get("replicate_of")]
     if not found:
         slips = sorted({meta["grid"]["slip"] for meta in data.about.values()})

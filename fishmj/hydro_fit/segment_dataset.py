@@ -11,15 +11,17 @@ set with only the segments of `INSTALLED`, as in an installed fishmj, can be use
 
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
-from fishmj.base.errors import DatasetError, StoreError
+from fishmj.base.errors import ConfigError, DatasetError, StoreError
 from fishmj.base.store import Manifest, left_out, read_json
 from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SCHEMA, UNITS, SegmentRecord, described, read_record
+from fishmj.mjcf.description import Robot
 
 SEGMENTS, SPLIT = "segments", "split.json"
 SPLITS = ("train", "val", "test")
@@ -94,6 +96,24 @@ class SegmentDataset:
     def lost(self) -> dict[str, str]:
         """Reasons of segments that stopped early or hold nothing, by id."""
         return {name: meta["stopped"] for name, meta in self.about.items() if meta.get("stopped")}
+
+
+def fingerprint(robot: Robot) -> str:
+    """sha256 of the body, servos and timing, which matter to the solver; without colours and coefficients of simpler waters."""
+    table = asdict(robot)
+    links = [{key: value for key, value in link.items() if key != "colour"} for link in table["links"]]
+    body = {key: table[key] for key in ("servo", "fins", "timing", "density_water")} | {"links": links}
+    body |= {"hull": robot.hull} if robot.hull != "turbulent" else {}
+    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+
+
+def same_fish(about: Mapping[str, Any], robot: Robot, where: Path) -> None:
+    """Raises ConfigError if segments are of another fish. about: their table `robot`, where older ones have no sha256."""
+    if (made := about.get("sha256", "")) and made != fingerprint(robot):
+        raise ConfigError(
+            f"{where} holds segments of another fish, {about.get('name')!r} with another body, servo or timing than this"
+            f" {robot.name!r}; give the description a name of its own, or another folder with --data"
+        )
 
 
 def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:

@@ -72,7 +72,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
     out = _once(_points(_upright(out, found)), found)
-    return _complete(_counts(_silent(out, found)), found)
+    return _complete(_nameless_joints(_counts(_silent(out, found)), found), found)
 
 
 def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
@@ -209,6 +209,29 @@ def _counts(guesses: list[Guess]) -> list[Guess]:
     for i in mine[few]:
         why = f"{len(mine[few])} of {few}1.. beside {len(mine[many])} of {many}1..: which joint is it?"
         out[i] = out[i] if out[i].said else out[i].unclear(why, places=tuple(f"{few}{n + 1}" for n in range(len(mine[many]))))
+    return out
+
+
+def _nameless_joints(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
+    """Asks about numbered columns of one unknown name, such as m1, m2, m3, in a log without joints: they may be these."""
+    if any(g.place.startswith(("cmd.", "joint.")) for g in guesses):
+        return guesses
+    rows: dict[tuple[int, str], dict[int, int]] = {}  # by kind and stem: number -> index
+    for i, g in enumerate(guesses):
+        numbered = re.fullmatch(r"(.*\D)(\d{1,2})", g.column)
+        if g.state == LEFT and not g.said and g.why == header.UNKNOWN and numbered:
+            values = found[g.kind].values(g.column)
+            if len(np.unique(values[np.isfinite(values)])) > 1:
+                rows.setdefault((g.kind, numbered[1]), {})[int(numbered[2])] = i
+    out = list(guesses)
+    for numbers in rows.values():
+        first = min(numbers)
+        if len(numbers) < 2 or first > 1 or sorted(numbers) != list(range(first, first + len(numbers))):
+            continue
+        for number, i in numbers.items():
+            joint = number - first + 1
+            why = f"may be joint {joint} of {len(numbers)}, commanded or measured; =skip leaves it out"
+            out[i] = out[i].unclear(why, places=(f"cmd.c{joint}", f"joint.j{joint}"))
     return out
 
 

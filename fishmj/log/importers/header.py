@@ -119,6 +119,9 @@ class Role(NamedTuple):
     why: str = ""
 
 
+UNKNOWN = "the name says nothing that the log's schema knows"
+
+
 def role(name: Header, context: set[str]) -> Role:
     """The places that a column's name allows.
 
@@ -128,7 +131,7 @@ def role(name: Header, context: set[str]) -> Role:
     for rule in (_force, _exact, _time, _power, _imu, _velocity, _place, _heading, _joint):
         if found := rule(name, context):
             return found
-    return Role(why="the name says nothing that the log's schema knows")
+    return Role(why=UNKNOWN)
 
 
 def _exact(name: Header, context: set[str]) -> Role | None:

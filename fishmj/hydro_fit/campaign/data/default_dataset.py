@@ -24,9 +24,9 @@ from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, report
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
-from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, fingerprint
+from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
-from fishmj.hydro_fit.segment_dataset import PREVIEW, SPLIT
+from fishmj.hydro_fit.segment_dataset import PREVIEW, SPLIT, same_fish
 from fishmj.lbm_oracle.fluid.device import accelerator, devices_of, several
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import LEAD, Domain, preset
@@ -162,13 +162,8 @@ def preview_box(robot: Robot) -> Domain:
 def _continued(folder: Path, asked: Request) -> Path:
     """Existing data set, completed by its own plan as far as this machine can."""
     table, robot = read_json(folder / SPLIT), asked.robot
-    made = table.get("robot", {}).get("sha256", "")
-    if made and "plans" in table and made != fingerprint(robot):
-        name = table["robot"].get("name")
-        raise ConfigError(
-            f"{folder} holds segments of another fish, {name!r} with another body, servo or timing than this {robot.name!r};"
-            " give the description a name of its own, or another folder with --data"
-        )
+    if "plans" in table:
+        same_fish(table.get("robot", {}), robot, folder)
     whole = (folder / MANIFEST).is_file() and not Manifest.read(folder).meta.get("missing", 0)
     rows = [row for row in table.get("plans", []) if not row["label"].startswith("on policy")]
     if not rows:

@@ -5,11 +5,9 @@
 A segment whose water or fish is no longer finite, or whose fish reaches a wall, is kept as far as it was sound.
 """
 
-import hashlib
-import json
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
 from math import ceil
@@ -20,6 +18,7 @@ import numpy as np
 from fishmj import __version__
 from fishmj.hydro_fit.campaign.data.segment import Drive, Segment, drive, ticks_of
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
+from fishmj.hydro_fit.segment_dataset import fingerprint
 from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
 from fishmj.lbm_oracle.run.domain import PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, Run
@@ -68,15 +67,6 @@ class Setup:
             "solver": {"sha256": solver_sha256(law=self.sharpness.law_height is not None)},
             "grid": grid | {"kernel": self.width, "passes": self.passes, "preview": domain.name in PREVIEWS},
         }
-
-
-def fingerprint(robot: Robot) -> str:
-    """sha256 of the body, servos and timing, which matter to the solver; without colours and coefficients of simpler waters."""
-    table = asdict(robot)
-    links = [{key: value for key, value in link.items() if key != "colour"} for link in table["links"]]
-    body = {key: table[key] for key in ("servo", "fins", "timing", "density_water")} | {"links": links}
-    body |= {"hull": robot.hull} if robot.hull != "turbulent" else {}
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
 
 
 class SegmentRunner:

@@ -222,7 +222,7 @@ class ClosedLoop:
     """
 
     def __init__(self, segment: Segment, robot: Robot, controller: str, target, seed: int, noise: float):
-        # A segment serves the fit of a water, so it is the swim of the nominal body, and its identity (run_segments.fingerprint)
+        # A segment serves the fit of a water, so it is the swim of the nominal body; its identity (`segment_dataset.fingerprint`)
         # leaves effects out. With effects on the sensors, one segment would be two swims.
         self.robot = replace(robot, effects=())
         self.target = np.asarray(target, float)[None]
