@@ -1,5 +1,6 @@
 """A policy's card: its training, where it holds station and where not, its worst trial; export as ONNX."""
 
+from collections import Counter
 from typing import Any
 
 from fishmj.base import console
@@ -87,7 +88,7 @@ def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
         f"network {widths} ({meta['activation']}), sees {sees}; robot {meta.get('robot', 'not recorded')}",
         f"decides every {meta.get('control_dt', '?')} s on the command path {meta.get('command_path', 'not recorded')}",
         "",
-        *(f"trained in {_water(water)}" for water in card.waters or [{}]),
+        *(f"trained in {water}{f' ({n} times)' * (n > 1)}" for water, n in Counter(map(_water, card.waters or [{}])).items()),
         f"command   {get('command', 'not recorded')}",
         f"seed      {get('seed', 'not recorded')}",
         f"cost      {_cost(card)}",
@@ -116,7 +117,7 @@ def _judged(judgement: WaterJudgement) -> dict:
         "rmse after arrival [m]": judgement.overall["rmse_after_arrival"].text(),
         "last 20 s [m]": judgement.overall["rmse_last20"].text(interval=False),
         **{f"at {u} m/s": row["rmse_after_arrival"].text(interval=False) for u, row in sorted(judgement.by_speed.items())},
-        "does not hold at": ", ".join(f"{u} m/s" for u in lost) or "-",
+        "of these does not hold at": ", ".join(f"{u} m/s" for u in lost) or "-",
     }
 
 

@@ -45,6 +45,7 @@ HELP = (
 )
 
 
+FIT_IT = "python -m fishmj.hydro_fit --fish FILE"  # of its description: a shipped robot has a fitted water
 INSTEAD = {
     HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
     LBM: "lbm is for suite.load, `fishmj evaluate` and `fishmj train --engine lbm`",
@@ -88,7 +89,7 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:
-        why = "" if water is not None or stated else f"; none is fitted for this body: {fit_it(robot)}"
+        why = "" if water is not None or stated else f"; none is fitted for this body: {FIT_IT}"
         return WaterChoice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
     if name == LBM:
         return WaterChoice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
@@ -163,20 +164,13 @@ def _own(robot: Robot, name: str) -> str:
     if states not in (None, *KINDS):
         return _joined(split_member(states)[0], member or split_member(states)[1])
     if robot.name not in calib.waters():
-        raise ConfigError(
-            f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {fit_it(robot)}"
-        )
+        raise ConfigError(f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {FIT_IT}")
     return _joined(robot.name, member)
 
 
 def label(robot: Robot) -> str:
     """Water of a robot for tables and logs: a kind, or the name of the fitted water."""
     return canonical(robot.water.get("model")) or STRUCTURED
-
-
-def fit_it(robot: Robot) -> str:
-    """Command that fits a water for a robot."""
-    return f"python -m fishmj.hydro_fit --fish {'FILE' if robot.name not in calib.robots().values() else robot.name}"
 
 
 def fitted_for(robot: Robot) -> str | None:

@@ -22,10 +22,10 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.cores import usable_cores
 from fishmj.base.store import read_json, write_json, write_text
+from fishmj.base.workers import ask_all
 from fishmj.gap import progress
 from fishmj.gap.bench.drawn_robots import BenchRobot, every
 from fishmj.gap.bench.family_command import precompile
-from fishmj.base.workers import ask_all
 from fishmj.gap.laboratory import generators
 from fishmj.gap.null import structural_error
 from fishmj.gap.null.structural_error import StructuralErrorScales

@@ -269,7 +269,8 @@ class CampaignPlan:
         """The part of the plan at these slip ratios. Raises ConfigError: no segment is at one of them."""
         there = sorted({segment.slip for segment in self.segments})
         if unknown := [slip for slip in slips if slip not in there]:
-            raise ConfigError(f"campaign: slip = {unknown[0]}; expected of this plan's {', '.join(f'{s:g}' for s in there)}")
+            known = ", ".join(f"{s:g}" for s in there)
+            raise ConfigError(f"campaign: slip = {unknown[0]}; expected of this plan's {known}; --all-at-slip S takes any")
         kept = tuple(segment for segment in self.segments if segment.slip in slips)
         return replace(self, label=f"{self.label}, slip {', '.join(f'{s:g}' for s in sorted(set(slips)))}", segments=kept)
 
