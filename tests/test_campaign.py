@@ -216,9 +216,16 @@ def collected(folder):
 
 
 def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
-    assert console.run(main, ["--preview", "--dry-run", "--json", "--out", str(tmp_path / "no")]) == console.OK
+    asked = ["--preview", "--dry-run", "--json", "--device", "cuda", "--out", str(tmp_path / "no")]  # also for another machine
+    assert console.run(main, asked) == console.OK
     said = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert said["plan"] == "preview" and 80 < said["water_s"] < 130 and not (tmp_path / "no").exists()
+    assert (
+        said["plan"] == "preview"
+        and 80 < said["water_s"] < 130
+        and said["left_s"] == said["water_s"]
+        and said["domain"] == "laptop"
+        and not (tmp_path / "no").exists()
+    )
     assert console.run(main, ["--preview", "--fresh-test", "2"]) == console.BAD_INPUT
     assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
 

@@ -31,7 +31,7 @@ from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_option
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_name, boundary_option
 from fishmj.lbm_oracle.run.spread import ray_device, spread
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
@@ -254,7 +254,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     budget = "wall time after which no segment is begun; by default none; what is finished then is kept"
     add("--budget", type=console.number(0, 1e7), metavar="SECONDS", help=budget)
     parser.add_argument("--retry", action="store_true", help="run segments that stopped early again")
-    parser.add_argument("--dry-run", action="store_true", help="print the plan and stop")
+    parser.add_argument("--dry-run", action="store_true", help="print plan, folder, box and cost, for any device, and stop")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -270,25 +270,26 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"collect: slip ratios beside --boundary {args.boundary}, which sets them; take --all-at-slip 1")
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
-    if not (args.dry_run or args.ray):
-        water = sum(segment.water for segment in missing(plan, out, args.retry))
+    left = missing(plan, out, args.retry)
+    water = sum(segment.water for segment in left)
+    if args.dry_run:  # here, for whatever machine
+        say_plan(plan, robot, domain)
+        place = {"out": str(out), "domain": domain.name, "boundary": boundary_name(edge)}
+        words = ", ".join(f"{key} {value}" for key, value in place.items())
+        there = console.duration(solver_cost.cpu_seconds([(level, water) for level in domain.levels]))
+        console.say(f"{words}: {len(left)} segments to solve, {water:.0f} s of water; on this machine's CPU about {there}")
+        if args.json:
+            told = {"plan": plan.label, "water_s": plan.water, "left_s": water, "blocks": plan.rows(), **place}
+            console.emit_json(told | {"split_sha256": plan.split_sha256})
+        return console.OK
+    if not args.ray:
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
         asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
         work = [(level, water) for level in domain.levels]
         solver_cost.agree("hydro_fit collect", args.device, work, tanks=args.tanks or 1, **asked)
     devices = (ray_device(args.device),) if args.ray else devices_of(args.device)
     setup = Setup(robot=robot, domain=domain, device=devices[0], sharpness=edge)
-    what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"
-    console.say(f"{plan.label}: {what}", console.table(plan.rows()))
-    if domain.name in PREVIEWS:
-        console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
-    if not any(segment.block == "policy" for segment in plan.segments):
-        console.say(f"no shipped controller is made for {robot.name}: no on-policy episodes; name one with --policy")
-    if args.dry_run:
-        if args.json:
-            told = {"plan": plan.label, "water_s": plan.water, "blocks": plan.rows()}
-            console.emit_json(told | {"split_sha256": plan.split_sha256})
-        return console.OK
+    say_plan(plan, robot, domain)
     more = f"{out} holds every segment that was finished; {interrupt.again()}"
     with interrupt.keeping(lambda: more):
         found = collect(plan, out, setup, pool=pool_of(args, devices), budget=args.budget, retry=args.retry, quiet=args.json)
@@ -296,6 +297,16 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         console.emit_json({**asdict(found), "complete": found.complete})
     return console.OK if found.complete and not found.lost else console.FAILED_CHECK
+
+
+def say_plan(plan: CampaignPlan, robot: Robot, domain: Domain) -> None:
+    """Prints the plan by blocks, and what it lacks."""
+    what = f"{len(plan.segments)} segments, {plan.water:.0f} s of water for {robot.name}"
+    console.say(f"{plan.label}: {what}", console.table(plan.rows()))
+    if domain.name in PREVIEWS:
+        console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
+    if not any(segment.block == "policy" for segment in plan.segments):
+        console.say(f"no shipped controller is made for {robot.name}: no on-policy episodes; name one with --policy")
 
 
 def main(argv: list[str]) -> int:
