@@ -129,6 +129,15 @@ def test_a_lag_is_not_claimed_between_channels_that_have_nothing_in_common():
     assert not lag.found and "not told" in lag.text()
 
 
+def test_a_steady_beat_of_either_sign_fits_half_a_beat_earlier_too():
+    """A heading that swings against the tail: 250 ms late with one sign is 250 ms early with the other."""
+    t = np.arange(0, 20, 0.02)
+    cmd, yaw = np.sin(2 * np.pi * t)[:, None], -0.1 * np.cos(2 * np.pi * t)[:, None]
+    found = lag_between(("cmd", t, cmd), ("pose", t, yaw), either_sign=True)
+    assert abs(found.lag) == pytest.approx(0.25, abs=0.01) and found.ambiguous and "steady beat" in found.text()
+    assert not lag_between(("cmd", t, cmd), ("pose", t + 0.1, cmd), either_sign=False).ambiguous
+
+
 def test_a_fast_beat_makes_the_lag_ambiguous_and_says_so():
     t = np.arange(0, 20, 0.01)
     wave = np.sin(2 * math.pi * 5 * t)[:, None]

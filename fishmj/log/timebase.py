@@ -141,7 +141,7 @@ def lag_between(
     return Lag(
         *(name_a, name_b, where(at), where(low), where(high), float(sign * peak)),
         *(drift * step, bounds[0] * step, bounds[1] * step),
-        *(len(products), _rival(sign * curve, at)),
+        *(len(products), _rival(np.abs(curve) if either_sign else curve, at)),
     )
 
 
