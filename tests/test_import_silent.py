@@ -48,6 +48,9 @@ def test_numbered_columns_of_an_unknown_name_may_be_the_joints(tmp_path, bring):
     lab_files.write(tmp_path / "bare" / "a.csv", {"time": T, **place, **motors})
     code, _, err = bring(tmp_path / "bare", "--yes")
     assert code == 2 and "m2: may be joint 2 of 3" in err and "--set m2=cmd.c2:rad or cmd.c2:deg or joint.j2" in err
+    lab_files.write(tmp_path / "array" / "a.csv", {"time": T, **place, "ch[0]": 20 * SWING[0], "ch[1]": 20 * SWING[1]})
+    code, _, err = bring(tmp_path / "array", "--yes")
+    assert code == 2 and "ch[1]: may be joint 2 of 2" in err
     for name, more in (("known", {**motors, **servos(unit="_rad")}), ("still", {key: 0 * T for key in motors})):
         lab_files.write(tmp_path / name / "a.csv", {"time": T, **place, **more})
         code, out, err = bring(tmp_path / name, "--yes")

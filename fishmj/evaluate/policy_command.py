@@ -117,7 +117,7 @@ def _judged(judgement: WaterJudgement) -> dict:
         "rmse after arrival [m]": judgement.overall["rmse_after_arrival"].text(),
         "last 20 s [m]": judgement.overall["rmse_last20"].text(interval=False),
         **{f"at {u} m/s": row["rmse_after_arrival"].text(interval=False) for u, row in sorted(judgement.by_speed.items())},
-        "of these does not hold at": ", ".join(f"{u} m/s" for u in lost) or "-",
+        "of these, does not hold at": ", ".join(f"{u} m/s" for u in lost) or "-",
     }
 
 

@@ -267,7 +267,7 @@ class StationHold:
     def _fresh(self, key, n: int) -> EnvState:
         """n new episodes at rest over ground."""
         keys = jax.random.split(key, 4)
-        draws = task.slowed(jnp, jax.random.uniform(keys[0], (n, task.N_START)), self.options.flow_exponent)
+        draws = task.skewed(jnp, jax.random.uniform(keys[0], (n, task.N_START)), self.options.flow_exponent)
         launch = jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), self.course.launch(jnp, draws))
         if self.options.flow_bounds is not None:
             slow, fast = self.options.flow_bounds

@@ -285,7 +285,7 @@ class TaskSpec:
     def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
         """Episodes of these draws; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
         s = self.setting
-        draws = draws._replace(start=task.slowed(np, draws.start, s.flow_exponent))
+        draws = draws._replace(start=task.skewed(np, draws.start, s.flow_exponent))
         launch = self.course.launch(np, draws.start)
         start = launch.start
         u = draws.flow

@@ -50,7 +50,7 @@ def draw_start(xp, uniforms) -> Start:
     )
 
 
-def slowed(xp, uniforms, exponent: float):
+def skewed(xp, uniforms, exponent: float):
     """Uniforms (B, 7) of `draw_start` with that of the speed to this power: above 1, slow streams are drawn more often."""
     return uniforms if exponent == 1 else xp.concatenate([uniforms[:, :5], uniforms[:, 5:6] ** exponent, uniforms[:, 6:]], -1)
 

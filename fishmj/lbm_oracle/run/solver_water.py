@@ -38,7 +38,7 @@ def boundary_of(dataset: Mapping[str, Any]) -> Sharpness:
     """Boundary with which a data set, or a fitted water's segments, were solved. Raises ConfigError: it has no name here."""
     name = str(dataset.get("boundary", "plain"))
     if name not in BOUNDARIES:
-        raise ConfigError(f"fitted water: its segments were solved with boundary {name}; expected {', '.join(BOUNDARIES)}")
+        raise ConfigError(f"flow solver: boundary {name}; expected {', '.join(BOUNDARIES)}")
     return BOUNDARIES[name]
 
 

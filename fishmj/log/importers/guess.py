@@ -216,13 +216,13 @@ def _nameless_joints(guesses: list[Guess], found: Sequence[FileKind]) -> list[Gu
     """Asks about numbered columns of one unknown name, such as m1, m2, m3, in a log without joints: they may be these."""
     if any(g.place.startswith(("cmd.", "joint.")) for g in guesses):
         return guesses
-    rows: dict[tuple[int, str], dict[int, int]] = {}  # by kind and stem: number -> index
+    rows: dict[tuple[int, tuple[str, ...]], dict[int, int]] = {}  # by kind and words: number -> index
     for i, g in enumerate(guesses):
-        numbered = re.fullmatch(r"(.*\D)(\d{1,2})", g.column)
-        if g.state == LEFT and not g.said and g.why == header.UNKNOWN and numbered:
+        name = header.parse(g.column)
+        if g.state == LEFT and not g.said and g.why == header.UNKNOWN and name.number is not None:
             values = found[g.kind].values(g.column)
             if len(np.unique(values[np.isfinite(values)])) > 1:
-                rows.setdefault((g.kind, numbered[1]), {})[int(numbered[2])] = i
+                rows.setdefault((g.kind, name.words), {})[name.number] = i
     out = list(guesses)
     for numbers in rows.values():
         first = min(numbers)

@@ -270,19 +270,12 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"collect: slip ratios beside --boundary {args.boundary}, which sets them; take --all-at-slip 1")
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
-    left = missing(plan, out, args.retry)
-    water = sum(segment.water for segment in left)
     if args.dry_run:  # here, for whatever machine
         say_plan(plan, robot, domain)
-        place = {"out": str(out), "domain": domain.name, "boundary": boundary_name(edge)}
-        words = ", ".join(f"{key} {value}" for key, value in place.items())
-        there = console.duration(solver_cost.cpu_seconds([(level, water) for level in domain.levels]))
-        console.say(f"{words}: {len(left)} segments to solve, {water:.0f} s of water; on this machine's CPU about {there}")
-        if args.json:
-            told = {"plan": plan.label, "water_s": plan.water, "left_s": water, "blocks": plan.rows(), **place}
-            console.emit_json(told | {"split_sha256": plan.split_sha256})
+        say_cost(plan, out, domain, boundary_name(edge), args)
         return console.OK
     if not args.ray:
+        water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
         asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
         work = [(level, water) for level in domain.levels]
@@ -307,6 +300,19 @@ def say_plan(plan: CampaignPlan, robot: Robot, domain: Domain) -> None:
         console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")
     if not any(segment.block == "policy" for segment in plan.segments):
         console.say(f"no shipped controller is made for {robot.name}: no on-policy episodes; name one with --policy")
+
+
+def say_cost(plan: CampaignPlan, out: Path, domain: Domain, boundary: str, args: argparse.Namespace) -> None:
+    """Prints where the segments of the plan go, and what those that are missing there cost."""
+    left = missing(plan, out, args.retry)
+    water = sum(segment.water for segment in left)
+    place = {"out": str(out), "domain": domain.name, "boundary": boundary}
+    words = ", ".join(f"{key} {value}" for key, value in place.items())
+    there = console.duration(solver_cost.cpu_seconds([(level, water) for level in domain.levels]))
+    console.say(f"{words}: {len(left)} segments to solve, {water:.0f} s of water; on this machine's CPU about {there}")
+    if args.json:
+        told = {"plan": plan.label, "water_s": plan.water, "left_s": water, "blocks": plan.rows(), **place}
+        console.emit_json(told | {"split_sha256": plan.split_sha256})
 
 
 def main(argv: list[str]) -> int:
