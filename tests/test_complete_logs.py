@@ -16,10 +16,10 @@ from fishmj.gap.calibrate import calibration_logs as calibrate_logs
 from fishmj.gap.commands import admission
 from fishmj.gap.records.datasets import readable_trials
 from fishmj.gap.records.records import record_of
-from fishmj.log import stacked
+from fishmj.log import Trial, stacked
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.geometry import link_centres
-from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.identity import body_sha256, identity, robot_sha256
 from fishmj.sim import Sim
 from fishmj.tasks.sensing import sensed, sigmas
 from fishmj.view.play import LiveSession
@@ -241,7 +241,7 @@ def test_a_tank_that_stopped_is_logged_up_to_there(result):
 def test_a_sim_says_where_it_began_and_that_it_is_exact():
     trial = Sim("fish", pose=(0.1, 0.2, 0.3), flow=Flow(speed=0.1)).run(lambda t: 0.4 * np.sin(6 * t - np.arange(3)), 0.5)
     assert trial.value("start") == [0.1, 0.2, 0.3] and trial.value("latency.pose") == 0.0
-    assert trial.value("robot_sha256") == robot_sha256(ROBOT) and trial.value("joints") == 3
+    assert {key: trial.value(key) for key in identity(ROBOT)} == identity(ROBOT) and trial.value("joints") == 3
     assert "exact" in trial.value("notes") and record_of(trial, 0.004).power is not None
 
 
@@ -274,3 +274,14 @@ def test_the_sum_of_a_robot_changes_with_any_number_of_it():
     quicker = replace(same, timing=replace(same.timing, camera_latency=0.066))
     assert len({robot_sha256(one) for one in (ROBOT, same, heavier, quicker)}) == 3
     assert sigmas(2, 0.0) == dict.fromkeys(("x", "y", "yaw", "j1", "j2", "w1", "w2"), 0.0)
+
+
+def test_logs_of_another_body_under_the_same_name_need_a_word():
+    longer = replace(ROBOT, links=(*ROBOT.links[:-1], replace(ROBOT.links[-1], length=2 * ROBOT.links[-1].length)))
+    stiffer = replace(ROBOT, servo=replace(ROBOT.servo, kp=1.3 * ROBOT.servo.kp))
+    alike, other = (Trial(identity(one), {}, name="a") for one in (stiffer, longer))
+    assert admission.of_this_robot([alike], ROBOT, "fish") == [] == admission.of_this_robot([other], longer, "mine")
+    with pytest.raises(LogError, match=r"'swift' with another body \(lengths, sections, fins\), the model fish is 'swift'"):
+        admission.of_this_robot([alike, other], ROBOT, "fish")
+    assert "taken for the same robot" in admission.of_this_robot([other], ROBOT, "fish", agreed=True)[0]
+    assert body_sha256(engines.in_water(longer, "structured")) == body_sha256(longer)

@@ -241,7 +241,7 @@ def test_episodes_of_a_lerobot_set_are_logs(folder, sticky_logs):
 
 def test_import_of_a_robot_names_the_command_that_reads_it(arm, sticky_logs):
     with pytest.raises(UsageError, match="gap find .* reads a robot's logs as they are"):
-        import_command.main([str(sticky_logs), "--model", str(arm)])
+        import_command.main([str(sticky_logs), "--model", str(arm)], dict)
 
 
 def test_measured_commands_are_doubted():

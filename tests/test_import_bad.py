@@ -5,6 +5,7 @@ import math
 import os
 import struct
 
+import describing
 import lab_files
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from fishmj.base import console
 from fishmj.log import __main__ as command
 from fishmj.log.importers import guess
 from fishmj.log.importers.delimited import read as read_text_table
+from fishmj.mjcf import load_robot
+from fishmj.mjcf.identity import identity
 
 
 @pytest.fixture
@@ -299,14 +302,27 @@ def test_a_wrong_command_line_is_one_line(tmp_path, monkeypatch, capsys, words, 
     assert message in err and "\n" not in err
 
 
-def test_the_robots_name_and_joints_come_from_its_description(tmp_path, bring):
-    from fishmj.log.import_command import robot_of
+def test_what_identifies_a_robot_comes_from_its_description(tmp_path, bring):
+    recording, eel = lab_files.one(tmp_path / "a.csv"), tmp_path / "eel.toml"
+    assert describing.new("eel", *describing.FIVE, "--out", str(eel)) == 0
+    for said, source in (("fish", "fish"), ("swift", "fish"), (eel, eel)):
+        out, wanted = tmp_path / f"set of {said!s:.5}", identity(load_robot(source))
+        assert bring(recording, "--yes", "--robot", said, out=out)[0] == 0
+        assert {key: only(out).meta[key] for key in wanted} == wanted
+    assert any("has 4 joints, the columns tell of 3" in note for note in only(out).meta["notes"])
+    eel.write_text('name = "eel"\n')
+    code, _, err = bring(recording, "--yes", "--robot", eel)
+    assert code == 2 and "eel.toml" in err and not (tmp_path / "set").exists()
 
-    assert robot_of("fish") == robot_of("swift") == ("swift", 3) and robot_of("eel7") == ("eel7", 0)
-    (tmp_path / "eel.toml").write_text('name = "eel"\n[[link]]\n[[link]]\n[[link]]\n')
-    assert robot_of(str(tmp_path / "eel.toml")) == ("eel", 2)
-    assert bring(lab_files.one(tmp_path / "a.csv"), "--yes", "--robot", tmp_path / "eel.toml")[0] == 0
-    assert any("has 2 joints, the columns tell of 3" in note for note in only(tmp_path / "set").meta["notes"])
+
+def test_a_named_robot_takes_the_place_of_the_hashes_of_a_log(tmp_path, bring):
+    own = whole_trial(1.0, **identity(load_robot()))
+    log.write_trial(tmp_path / "own", own)
+    assert bring(tmp_path / "own", "--yes", out=tmp_path / "kept")[0] == 0
+    assert bring(tmp_path / "own", "--yes", "--robot", "eel7")[0] == 0
+    kept, named = only(tmp_path / "kept").meta, only(tmp_path / "set").meta
+    assert kept["body_sha256"] == own.meta["body_sha256"]
+    assert named["robot"] == "eel7" and not {"robot_sha256", "body_sha256"} & named.keys()
 
 
 # ---------------------------------------------------------------------------------------------------------------- hostile

@@ -17,7 +17,9 @@ from synthetic import swim
 
 from fishmj import log
 from fishmj.base import console
+from fishmj.base.calib import resolve
 from fishmj.base.errors import ConfigError, LogError, StoreError
+from fishmj.log import __main__ as log_command
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.identity import identity
 from fishmj.mjcf.skin import posed, skin
@@ -177,7 +179,7 @@ def test_another_robot_is_refused_and_other_numbers_are_said(trial, robot, tmp_p
     longer = replace(robot, name="mine", links=(replace(robot.links[0], length=2 * robot.links[0].length), *robot.links[1:]))
     assert unlike(swum, robot) == ""
     assert re.search(r"a: the log is of robot 'swift' \(\w{12}\), drawn as 'swift' \(\w{12}\)", unlike(swum, heavier))
-    with pytest.raises(ConfigError, match="--robot is 'mine' of another structure: lengths"):
+    with pytest.raises(ConfigError, match="not to be drawn as 'mine' of another structure: lengths"):
         unlike(swum, longer)
     with pytest.raises(ConfigError, match="another structure: 5 joints, expected 3"):
         unlike(log.Trial({"robot": "eel", "joints": 5}, {}, name="b"), robot)
@@ -185,6 +187,50 @@ def test_another_robot_is_refused_and_other_numbers_are_said(trial, robot, tmp_p
     argv = [str(tmp_path / "a"), "--out", str(tmp_path / "r.html"), "--robot", "tendon_fish"]
     assert console.run(main, argv) == console.BAD_INPUT
     assert "another structure" in capsys.readouterr().err and not (tmp_path / "r.html").exists()
+
+
+@pytest.fixture
+def deep_tail(tmp_path):
+    """A description of the name of a shipped one, with another tail."""
+    path, tail = tmp_path / "deep_tail.toml", "[0.148, 0.120, 0.004], [0.18, 0.120, 0.001]"
+    text = resolve("fish").read_text(encoding="utf-8")
+    path.write_text(text.replace(tail, tail.replace("0.120", "0.180")), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", ["swift", "fish"])
+def test_a_log_of_another_body_is_not_drawn_as_the_shipped_one(deep_tail, trial, tmp_path, capsys, name):
+    other, out = load_robot(deep_tail), tmp_path / "r.html"
+    swum = log.Trial({**trial.meta, **identity(other), "robot": name}, trial.tables)
+    log.write_trial(tmp_path / "a", swum)
+    for argv in (["--out", str(out)], ["--png", str(out.with_suffix(".png"))]):
+        assert console.run(main, [str(tmp_path / "a"), *argv]) == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "body_sha256" in said and "another body" in said and "--robot FILE.toml" in said and not out.exists()
+    with pytest.raises(ConfigError, match="another body"):
+        write_html([swum], out)
+    assert main([str(tmp_path / "a"), "--out", str(out), "--robot", str(deep_tail)]) == 0 and out.exists()
+
+
+def test_an_imported_log_of_another_body_is_not_drawn_as_the_shipped_one(deep_tail, trial, tmp_path, capsys):
+    log.write_trial(tmp_path / "a", log.Trial(trial.meta, trial.tables))
+    words = ["import", str(tmp_path / "a"), "--out", str(tmp_path / "data"), "--robot", str(deep_tail), "--yes"]
+    assert console.run(log_command.main, words) == 0
+    assert console.run(main, [str(tmp_path / "data" / "a"), "--out", str(tmp_path / "r.html")]) == console.BAD_INPUT
+    words = ["export", str(tmp_path / "data" / "a"), "--to", "mcap", "--out", str(tmp_path / "a.mcap")]
+    assert console.run(log_command.main, words) == console.BAD_INPUT and not (tmp_path / "a.mcap").exists()
+    assert capsys.readouterr().err.count("another body") == 2
+
+
+def test_a_log_of_the_same_body_is_drawn_and_an_older_one_with_a_remark(trial, robot, tmp_path, capsys):
+    heavier = replace(robot, links=(replace(robot.links[0], mass=1.01 * robot.links[0].mass), *robot.links[1:]))
+    swum = {**trial.meta, **identity(heavier)}
+    older = {key: value for key, value in swum.items() if key != "body_sha256"}
+    oldest = {key: value for key, value in older.items() if key != "robot_sha256"}
+    for name, meta, noted in (("new", swum, False), ("older", older, True), ("oldest", {**oldest, "robot": "fish"}, False)):
+        log.write_trial(tmp_path / name, log.Trial(meta, trial.tables))
+        assert main([str(tmp_path / name), "--png", str(tmp_path / "a.png")]) == 0
+        assert ("not the same description" in capsys.readouterr().err) == noted, name
 
 
 def test_a_robot_that_does_not_come_with_fishmj_is_said(trial, tmp_path, capsys):

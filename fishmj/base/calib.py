@@ -168,6 +168,11 @@ def robots() -> dict[str, str]:
     return {name: found[1] for name, found in own.items() if found}
 
 
+def robot_called(name: object) -> str:
+    """Shipped description of a robot by the file's name or the robot's own; "" if there is none."""
+    return next((file for file, own in robots().items() if name in (file, own)), "")
+
+
 _ROBOT = re.compile(r'^schema = "fishmj\.fish/1"\nname = "([^"]*)"', re.MULTILINE)  # parsing them all takes longer than a fish
 
 

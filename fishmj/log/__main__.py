@@ -81,6 +81,15 @@ def manifest(argv: list[str]) -> int:
     return console.OK
 
 
+def import_recordings(argv: list[str]) -> int:
+    """The command `log import`, with the reader of descriptions, which the rest of this room does not import."""
+    from fishmj.log import import_command
+    from fishmj.mjcf.identity import identity
+    from fishmj.mjcf.reading import load_robot
+
+    return import_command.main(argv, lambda source: identity(load_robot(source)))
+
+
 def _plain(path: Path, root: Path) -> bool:
     """Returns True for a path that is neither hidden nor reached by a link from elsewhere."""
     parts = path.relative_to(root).parts
@@ -105,7 +114,7 @@ main = console.CommandGroup(
     "Bring recordings in, check data sets, state what they hold, hand them to other programs.",
     {
         "import": Command(
-            "fishmj.log.import_command",
+            import_recordings,
             "recordings -> a data set of trial folders with a manifest",
             "fishmj log import commands.csv camera.csv battery.csv --out data/monday --robot swift",
         ),

@@ -41,7 +41,9 @@ examples:
   fishmj log import lab/ --write-map MAP.toml        then edit it, and
   fishmj log import lab/ --out data/lab --columns MAP.toml"""
 TABLE = "table"  # the format of what is read by its columns
+HASHES = ("robot_sha256", "body_sha256")  # of the robot that a log itself names
 NOTES = 20  # of one import that are shown
+Described = Callable[[str], dict]  # TOML or shipped name of a robot -> keys of meta that identify it (mjcf.identity)
 SOON = 5.0  # s before progress shows
 LONGEST = 1000  # characters of a message
 
@@ -76,7 +78,7 @@ def options() -> console.Parser:
     add("--format", type=console.text, help=f"{formats}; table: by its columns")
     mjcf = "of a robot in MJCF: refused, since fishmj gap find reads its logs as they are (default none)"
     add("--model", type=console.path, metavar="ROBOT.xml", help=mjcf)
-    robot = "name, or the robot's TOML; stored in meta.robot with its joint count; default: not said"
+    robot = "name, or the robot's TOML; stored in meta.robot with joint count and hashes; default: not said"
     add("--robot", type=console.text, help=robot)
     about = "name of the experiment, such as steps: of every trial, or of one; may be repeated; default: not said"
     add("--excitation", action="append", default=[], metavar="[TRIAL=]NAME", help=about)
@@ -96,17 +98,17 @@ def options() -> console.Parser:
     return sub
 
 
-def main(argv: list[str]) -> int:
+def main(argv: list[str], described: Described) -> int:
     """The command `log import`: imports, writes, and reports what was imported and what was not. Returns the exit code."""
     args = options().parse_args(argv)
     with relaxed_bounds(args.plausible or {}):
         try:
-            return _run(args)
+            return _run(args, described)
         except LogError as error:  # names from files stand in it
             raise LogError(_line(str(error))) from error
 
 
-def _run(args: Namespace) -> int:
+def _run(args: Namespace, described: Described) -> int:
     if args.model is not None:
         instead = f"fishmj gap find {args.source[0]} --model {args.model} reads a robot's logs as they are, without an import"
         raise UsageError(f"log import: --model: {instead}")
@@ -121,7 +123,7 @@ def _run(args: Namespace) -> int:
     for source in args.source:
         if args.out is not None and source.is_dir() and args.out.resolve().is_relative_to(source.resolve()):
             raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
-    meta, each = _meta(args), gather.excitations(args.excitation)
+    meta, each = _meta(args, described), gather.excitations(args.excitation)
     found = _found(args)
     known = [name for name, _ in found.trials]
     if each and (unknown := sorted(set(each) - {"", *known})):
@@ -156,37 +158,23 @@ def _run(args: Namespace) -> int:
 
 
 # ------------------------------------------------------------------------------------------------------------- statements
-def _meta(args: Namespace) -> dict:
+def _meta(args: Namespace, described: Described) -> dict:
     """Meta data from the command line: robot, experiment, start pose of the fish, bounds on magnitude."""
     meta: dict = {key: value for key in ("medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None}
     if args.robot is not None:
-        meta["robot"], joints = robot_of(args.robot)
-        meta |= {"joints": joints} if joints else {}
+        meta |= robot_of(args.robot, described)
     if args.plausible:
         meta[PLAUSIBLE] = args.plausible
     return meta
 
 
-def robot_of(text: str) -> tuple[str, int]:
-    """Name and number of joints (0: not known) of a robot: its TOML, a shipped one's file or its own name, or any name.
+def robot_of(text: str, described: Described) -> dict:
+    """Meta data that identify a robot: its TOML, a shipped one's file or its own name; of any other name that name alone.
 
-    Raises ConfigError: no such file, not TOML, or no name that may stand in a path.
+    Raises ConfigError: no such file, no valid description, or no name that may stand in a path.
     """
-    path = None
-    if text.endswith(".toml"):
-        path = Path(text)
-    else:
-        for name in calib.shipped():
-            shipped = calib.calib_folder() / f"{name}.toml"
-            table = calib.read_toml(shipped)
-            if str(table.get("schema", "")).startswith("fishmj.fish") and text in (name, table.get("name")):
-                path = shipped
-    if path is None:
-        return names.checked(text, "robot", "--robot"), 0
-    table = calib.read_toml(path)
-    links = table.get("link")
-    said = table.get("name", table.get("robot", {}).get("name") if isinstance(table.get("robot"), dict) else None)
-    return names.checked(said, "robot", str(path)), max(len(links) - 1, 0) if isinstance(links, list) else 0
+    source = text if text.endswith(".toml") else calib.robot_called(text)
+    return described(source) if source else {"robot": names.checked(text, "robot", "--robot")}
 
 
 def _start(text: str) -> list[float]:
@@ -440,7 +428,8 @@ def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     stated = dict(meta)
     if (bounds := stated.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
         stated[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
-    whole = {"origin": "measured", **trial.meta, **stated}
+    own = {key: value for key, value in trial.meta.items() if "robot" not in stated or key not in HASHES}
+    whole = {"origin": "measured", **own, **stated}
     notes = list(trial.notes)
     joints = stated.get("joints")
     has = max((len([c for c in columns if c[0] in "cj" and c[1:].isdecimal()]) for columns in trial.tables.values()), default=0)

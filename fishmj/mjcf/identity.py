@@ -1,11 +1,12 @@
 """Identity of the robot of a log, a result or a policy.
 
-A log holds its name, its number of joints, and a hash of every number of the description. A policy holds the structure that it
-needs. Masses, gains, water and effects are no part of the structure, so a calibrated fish has the same one. All of these but the
-water have a hash of their own.
+A log holds its name, its number of joints, and hashes of every number of the description and of the body alone. A policy holds
+the structure that it needs. Masses, gains, water and effects are no part of the structure, so a calibrated fish has the same one.
+All of these but the water have a hash of their own.
 """
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
 
@@ -28,9 +29,25 @@ def robot_sha256(robot: Robot) -> str:
     return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
 
 
+def body_sha256(robot: Robot) -> str:
+    """Hex digest of the parts of a robot that matter to the water and to a drawing: lengths, sections, fins, water's density.
+
+    Not servo, masses or timing.
+    """
+    links = [(link.length, link.sections, link.fin_from) for link in robot.links]
+    parts = (links, robot.fins, robot.density_water, robot.water.get("stations", 6))
+    return sha256(repr(parts).encode()).hexdigest()
+
+
 def identity(robot: Robot) -> dict:
     """Keys of a trial's meta data that identify its robot."""
-    return {"robot": robot.name, "joints": robot.n_joints, "robot_sha256": robot_sha256(robot)}
+    hashes = {"robot_sha256": robot_sha256(robot), "body_sha256": body_sha256(robot)}
+    return {"robot": robot.name, "joints": robot.n_joints, **hashes}
+
+
+def another_body(meta: Mapping, robot: Robot) -> bool:
+    """Returns True if a trial's meta data state another body than this robot's; older logs state none."""
+    return meta.get("body_sha256") not in (None, body_sha256(robot))
 
 
 def structure_of(robot: Robot) -> dict:

@@ -25,6 +25,7 @@ from fishmj.base.store import plain, read_tensors, sha256, write_tensors, write_
 from fishmj.log.toml import dumps
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.description_schema import shown
+from fishmj.mjcf.identity import body_sha256
 from fishmj.water import residual_hooks
 from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import flat, unflat
@@ -38,16 +39,6 @@ FOLDERS = calib.WATERS
 def robot_hash(robot: Robot) -> str:
     """sha256 of everything that describes a robot except its water: a model holds the hash of its robot."""
     return hashlib.sha256(repr(replace(robot, water={"stations": robot.water.get("stations")})).encode()).hexdigest()
-
-
-def body_hash(robot: Robot) -> str:
-    """sha256 of the parts of a robot that matter to the water: lengths, sections, fins, water's density.
-
-    Not servo, masses or timing.
-    """
-    links = [(link.length, link.sections, link.fin_from) for link in robot.links]
-    parts = (links, robot.fins, robot.density_water, robot.water.get("stations", 6))
-    return hashlib.sha256(repr(parts).encode()).hexdigest()
 
 
 def shipped() -> list[str]:
@@ -204,10 +195,10 @@ class HydroModel:
 
         Raises ConfigError: the model was fitted for another body or another time step.
         """
-        if robot_hash(robot) != self.robot_sha256 and body_hash(robot) != self.body_sha256:
+        if robot_hash(robot) != self.robot_sha256 and body_sha256(robot) != self.body_sha256:
             raise ConfigError(
                 f"water {self.name!r} was fitted for robot {self.robot!r} {(self.body_sha256 or self.robot_sha256)[:12]}, got"
-                f" {robot.name!r} {body_hash(robot)[:12]}: another body; fit it: python -m fishmj.hydro_fit --fish FILE"
+                f" {robot.name!r} {body_sha256(robot)[:12]}: another body; fit it: python -m fishmj.hydro_fit --fish FILE"
             )
         if abs(robot.timing.physics_dt - self.dt) > 1e-9:
             raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")

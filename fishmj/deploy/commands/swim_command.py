@@ -29,7 +29,7 @@ from fishmj.deploy.loop.trial_log import TrialLog, refuse_taken
 from fishmj.deploy.monitor.live import LiveMonitor, Watched, monitor_options, watched_of
 from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.identity import identity
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.flow_map.flow_map import FlowMap
 
@@ -208,8 +208,7 @@ def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired
     speed, direction = args.flow or (0.0, 0.0)
     meta = {
         "origin": "synthetic" if wired.loopback else "measured",
-        "robot": robot.name,
-        "robot_sha256": robot_sha256(robot),
+        **identity(robot),
         "medium": "water",
         "water": "loopback" if wired.loopback else "tank",
         "flow": {"speed": speed, "direction": direction, "known": args.flow is not None},

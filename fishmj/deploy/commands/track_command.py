@@ -6,7 +6,7 @@ from fishmj.base import console
 from fishmj.deploy.loop import wiring
 from fishmj.deploy.tracker.video_tracking import track_video
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.identity import identity
 from fishmj.mjcf.reading import load_robot
 
 EXAMPLES = """examples:
@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
 
         meta = {"robot": args.robot, "medium": "water"}
         if isinstance(robot, Robot):
-            meta |= {"robot": robot.name, "robot_sha256": robot_sha256(robot)}
+            meta |= identity(robot)
         found = track_video(
             args.video, tracker, args.out, overlay=args.overlay, meta=meta, overwrite=args.overwrite, progress=progress
         )

@@ -24,7 +24,7 @@ from fishmj.deploy.protocols.messages import RobotInfo
 from fishmj.log import Table, Trial, excitation, read_trial
 from fishmj.log.excitation import LEAD, Excitation
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import robot_sha256
+from fishmj.mjcf.identity import identity
 
 REPEATS = 3
 QUIET = 8  # rows at least in which the noise of a channel is taken
@@ -147,9 +147,7 @@ def meta_of(robot: Robot, flow: tuple[float, float] | None, simulated: bool, not
     speed, direction = flow or (0.0, 0.0)
     return {
         "origin": "synthetic" if simulated else "measured",
-        "robot": robot.name,
-        "robot_sha256": robot_sha256(robot),
-        "joints": robot.n_joints,
+        **identity(robot),
         "water": "loopback" if simulated else "tank",
         "flow": {"speed": speed, "direction": direction, "known": flow is not None},
         "push": [0.0, 0.0, 0.0],

@@ -37,6 +37,7 @@ from fishmj.log import Trial, physical_checks
 from fishmj.log.dataset import Taken
 from fishmj.log.excitation import PERIOD
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import another_body
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import label, residuals_of
 
@@ -64,10 +65,10 @@ def admitted(
     """The trials of a data set that can be compared with the model, and notes on them.
 
     Args:
-        agreed: accept logs of another name. anyway: accept physically impossible motion.
+        agreed: accept logs of another name or body. anyway: accept physically impossible motion.
 
-    Raises LogError: no trial, another number of joints, another robot's name without agreement, or impossible motion (a mirrored
-    camera, a joint against its command).
+    Raises LogError: no trial, another number of joints, another robot's name or body without agreement, or impossible motion (a
+    mirrored camera, a joint against its command).
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
@@ -103,22 +104,24 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
     """Notes on the robot of the trials.
 
     Args:
-        model: the user's name for the robot. agreed: accept logs of another name (`--same-robot`).
+        model: the user's name for the robot. agreed: accept logs of another name or body (`--same-robot`).
 
-    Raises LogError: another number of joints, or another robot's name without agreement.
+    Raises LogError: another number of joints, or another robot's name or body without agreement.
     """
     said: Counter[str] = Counter()
+    others: set[str] = set()
     for trial in trials:
         joints = joints_of(trial)
         name = str(trial.value("robot", "") or "")[:64]
         said[name] += 1
+        if another_body(trial.meta, robot) or name not in ("", robot.name):
+            others.add(repr(name) if name != robot.name else f"{name!r} with another body (lengths, sections, fins)")
         if joints and joints != robot.n_joints:
             whose = f"trial {trial.name} ({name or 'no robot named'}) has {joints} joints"
             mine = f"the model {model} ({robot.name}) {robot.n_joints}"
             raise LogError(f"{whose}, {mine}; name the model of that robot with --model")
-    others = sorted(name for name in said if name and name != robot.name)
     if others:
-        differ = f"the logs are of {', '.join(map(repr, others))}, the model {model} is {robot.name!r}"
+        differ = f"the logs are of {', '.join(sorted(others))}, the model {model} is {robot.name!r}"
         if not agreed and not console.confirmed(f"{differ}. Is it the same robot?"):
             raise LogError(f"{differ}; name its own model with --model, or pass --same-robot if it is the same robot")
         return [f"{differ}: taken for the same robot"]

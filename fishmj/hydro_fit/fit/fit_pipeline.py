@@ -26,10 +26,11 @@ from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
 from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import body_sha256
 from fishmj.water import residual_hooks
 from fishmj.water import residual_network as residual
 from fishmj.water.dynamics import planar_chain
-from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat, prior_of, unflat
 
 STAGES = ("linear", "rollout", "residual", "swims", "retune", "finish")
@@ -337,7 +338,7 @@ class FitPipeline:
             name=self.robot.name,
             robot=self.robot.name,
             robot_sha256=robot_hash(self.robot),
-            body_sha256=body_hash(self.robot),
+            body_sha256=body_sha256(self.robot),
             dt=self.chain.dt,
             slip=slips.pop() if len(slips) == 1 else float("nan"),
             base=unflat(state["water"].tolist()),

@@ -24,8 +24,9 @@ from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit as ellipsoid
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.hydro_fit.water_ablation.ablation_fit import Variant
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import body_sha256
 from fishmj.water.dynamics import planar_chain
-from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat
 
 SCHEMA = "fishmj.ablation/1"
@@ -168,7 +169,7 @@ def unfitted(robot: Robot) -> HydroModel:
         name="prior",
         robot=robot.name,
         robot_sha256=robot_hash(robot),
-        body_sha256=body_hash(robot),
+        body_sha256=body_sha256(robot),
         dt=ch.dt,
         slip=1.0,
         base=water,

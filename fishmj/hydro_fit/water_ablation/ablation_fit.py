@@ -14,7 +14,8 @@ import numpy as np
 
 from fishmj.base.store import plain
 from fishmj.hydro_fit.fit import fit_pipeline
-from fishmj.water.hydro_model import HydroModel, body_hash, robot_hash
+from fishmj.mjcf.identity import body_sha256
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import unflat
 
 NEEDS = {  # settings that a stage depends on, besides those of the stages before it
@@ -55,7 +56,7 @@ class Variant(fit_pipeline.FitPipeline):
             name="variant",
             robot=self.robot.name,
             robot_sha256=robot_hash(self.robot),
-            body_sha256=body_hash(self.robot),
+            body_sha256=body_sha256(self.robot),
             dt=self.chain.dt,
             slip=float(self.train[0].meta["grid"].get("slip", 1.0)),
             base=unflat(state["water"].tolist()),

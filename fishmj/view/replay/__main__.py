@@ -73,7 +73,10 @@ def drawn_as(trial: Trial, robot: str | None) -> str:
     if robot is not None:
         return unlike(trial, load_robot(robot))
     own = str(trial.value("robot") or "")[:64]
-    if not own or named_robot(trial) is not None:
+    if (named := named_robot(trial)) is not None:
+        old = trial.value("robot_sha256") is not None and trial.value("body_sha256") is None
+        return unlike(trial, named) if old else ""
+    if not own:
         return ""
     drawn = f"drawn as {robot_of(trial).name!r}; name its own with --robot"
     return f"{trial.name or 'trial'}: robot {own!r} does not come with fishmj: {drawn}"

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.base.calib import shipped
-from fishmj.base.errors import ConfigError, FishmjError, LogError, MissingExtra, StoreError
+from fishmj.base.calib import robot_called
+from fishmj.base.errors import ConfigError, LogError, MissingExtra, StoreError
 from fishmj.lbm_oracle.output.slices import Slice, read_slice, slices_in
 from fishmj.log import Trial, stacked
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import robot_sha256, structure_of
+from fishmj.mjcf.identity import another_body, body_sha256, robot_sha256, structure_of
 from fishmj.mjcf.reading import load_robot
 
 FPS = 50.0
@@ -72,18 +72,17 @@ def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
 
 
 def named_robot(trial: Trial) -> Robot | None:
-    """The shipped description that the trial's meta names; None if there is none. A log's text is never used as a path."""
-    wanted = trial.value("robot")
-    for name in shipped():
-        if name == "paper":
-            continue
-        try:
-            candidate = load_robot(name)
-        except FishmjError:  # a calibration file of another kind
-            continue
-        if wanted in (name, candidate.name):
-            return candidate
-    return None
+    """The shipped description that the trial's meta names; None if there is none. A log's text is never used as a path.
+
+    Raises ConfigError: the log is of another body of this name.
+    """
+    name = robot_called(trial.value("robot"))
+    robot = load_robot(name) if name else None
+    if robot is not None and another_body(trial.meta, robot):
+        stated = f"meta.toml: body_sha256: got {str(trial.meta['body_sha256'])[:12]}, expected {body_sha256(robot)[:12]}"
+        told = f"the log is of another body than the robot {robot.name!r} that comes with fishmj"
+        raise ConfigError(f"{trial.name or 'trial'}: {stated}: {told}; name the description of its own with --robot FILE.toml")
+    return robot
 
 
 def unlike(trial: Trial, robot: Robot) -> str:
@@ -94,14 +93,16 @@ def unlike(trial: Trial, robot: Robot) -> str:
     name, total, joints = (trial.value(key) for key in ("robot", "robot_sha256", "joints"))
     if not name or total == robot_sha256(robot):
         return ""
-    own, log = named_robot(trial), f"{trial.name or 'trial'}: the log is of robot {str(name)[:64]!r}"
-    known = own if own is not None and (own.name != robot.name or total == robot_sha256(own)) else None
+    shipped, log = robot_called(name), f"{trial.name or 'trial'}: the log is of robot {str(name)[:64]!r}"
+    own = load_robot(shipped) if shipped else None
+    same = own is not None and not another_body(trial.meta, own) and (own.name != robot.name or total == robot_sha256(own))
+    known = own if same else None
     a, b = ({} if one is None else structure_of(one) for one in (known, robot))
     other = next((f"{key} {a[key]}, expected {b[key]}" for key in ("links", "lengths", "joints") if a and a[key] != b[key]), "")
     if isinstance(joints, int) and joints != robot.n_joints:
         other = f"{joints} joints, expected {robot.n_joints}"
     if other:
-        raise ConfigError(f"{log}, --robot is {robot.name!r} of another structure: {other}; leave --robot out, or name its own")
+        raise ConfigError(f"{log}, not to be drawn as {robot.name!r} of another structure: {other}; name its own with --robot")
     if name == robot.name and total is None:
         return ""
     return f"{log}{_sum(total)}, drawn as {robot.name!r}{_sum(robot_sha256(robot))}: not the same description"
