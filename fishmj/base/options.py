@@ -10,6 +10,7 @@ import math
 import re
 import tempfile
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
 from numbers import Integral, Real
@@ -19,6 +20,7 @@ from typing import Any
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.names import is_name, nearest
 
+_RANGE = re.compile(r"(\d*\.?\d+) *(?:-|\u2013|:|\.{2,3}|to) *(\d*\.?\d+)")
 SHOWN = 60  # characters of an argument that an error repeats
 
 
@@ -157,7 +159,7 @@ class Listed:
         parts = [part.strip() for part in text.split(",")]
         if not all(parts) or len(parts) > self.most:
             raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to {self.most} values with commas between them")
-        values = [self.item(part) for part in parts]
+        values = [self._one(part) for part in parts]
         kinds = [self.same(value) for value in values]
         twice = next((i for i, kind in enumerate(kinds) if kind in kinds[:i]), None)
         if twice is not None and self.distinct:
@@ -165,6 +167,22 @@ class Listed:
             also = f"{parts[twice]} stands there twice" if first == parts[twice] else f"{first} and {parts[twice]} are the same"
             raise argparse.ArgumentTypeError(f"got {shown(text)}: {also}; name each value once")
         return values
+
+    def _one(self, part: str) -> Any:
+        try:
+            return self.item(part)
+        except argparse.ArgumentTypeError as error:
+            raise argparse.ArgumentTypeError(f"{error}{self._as_list(part)}") from error
+
+    def _as_list(self, part: str) -> str:
+        """Hint on how a range of numbers, such as `0-0.04`, is written; "" of any other part."""
+        if found := _RANGE.fullmatch(part):
+            low, high = found.groups()
+            for example in (f"{low},{(float(low) + float(high)) / 2:g},{high}", f"{low},{high}"):
+                with suppress(argparse.ArgumentTypeError):
+                    self(example)
+                    return f"; a range is written as a list, such as {example}"
+        return ""
 
     def holds(self, value: Any) -> bool:
         """True for a list or tuple of 1 to `most` values that `item` holds."""
