@@ -1,5 +1,7 @@
 """The judge: the decided trials, metrics with known answers, paired statistics, and golden runs of what drifts and what holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control.gait_table import gait_of
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import Result
+from fishmj.evaluate.trial_report import by_condition, trials_csv
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 
@@ -140,6 +143,22 @@ def test_the_rheotactic_index_of_a_steady_heading(off, cosine, linear):
     found = metrics.figures(hand_made(pose))
     assert found["rheotactic_index"] == pytest.approx(cosine, abs=1e-6)
     assert found["rheotactic_index_linear"] == pytest.approx(linear, abs=1e-6)
+
+
+def test_still_water_has_no_rheotactic_index_and_no_part_in_its_mean():
+    turned = np.concatenate([still(0.5), still(0.5)])
+    turned[0, :, 2] += np.radians(60)
+    result = hand_made(turned)
+    speeds = replace(
+        result.trials, items=tuple(t._replace(speed=u) for t, u in zip(result.trials.items, (0.0, 0.2), strict=True))
+    )
+    found = metrics.summary(mixed := result._replace(trials=speeds))
+    for key in ("rheotactic_index", "rheotactic_index_linear"):
+        assert (found["overall"][key]["value"], found["overall"][key]["n"]) == (pytest.approx(1.0), 1)
+        assert np.isnan(found["by_speed"]["0"][key]["value"]) and found["by_speed"]["0.2"][key]["n"] == 1
+    assert [row["RI cos"] for row in by_condition(found, "by_speed")] == ["-", "1.000"]
+    assert trials_csv([mixed]).splitlines()[1].endswith(",,")
+    assert metrics.rheotaxis(mixed)[0] == pytest.approx([0.5, 1.0])  # of the paper's experiment, which has a point there
 
 
 def test_the_beat_does_not_count_as_turning_away():

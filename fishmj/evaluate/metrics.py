@@ -6,7 +6,8 @@
     rmse_last20, rmse_total     m, over 40 to 60 s and 0 to 30 s
     power               W, electrical, idle included
     energy_per_metre    J/m of way through the water;  cost_of_transport = that / (m g)
-    rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg
+    rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg;
+                        in still water, which has no upstream, a trial has neither
 
 The course angle_of_attack, with rmse_total and power as above:
 
@@ -132,7 +133,7 @@ def hold_figures(r: Result) -> dict[str, np.ndarray]:
     first = arrival_tick(r)
     arrived = first >= 0
     since = np.where(arrived, r.t[first], window("missed_window")[0])
-    cosine, linear = rheotaxis(r)
+    cosine, linear = (np.where(r.trials.speed > 0, index, np.nan) for index in rheotaxis(r))
     return {
         "arrival": arrived.astype(float),
         "approach_time": np.where(arrived, r.t[first], np.nan),
@@ -203,7 +204,8 @@ def rms(r: Result, start, end: float) -> np.ndarray:
 def rheotaxis(r: Result, window: tuple[float, float] | None = None, bounded: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Rheotactic indices (RI_cos, RI_lin), each (n,).
 
-    window: s, default the hold phase. bounded: headings count until a trial leaves the domain.
+    window: s, default the hold phase. bounded: headings count until a trial leaves the domain. In still water they are about the
+    direction that `trials.upstream` gives a stream: of headings that turn anyhow they are 0 on average, as in the paper's figure.
     """
     start, end = constant("protocol", "rheotaxis_window") if window is None else window
     heading = beat_mean(r.pose[:, :, 2], r.robot.timing.bus_dt)

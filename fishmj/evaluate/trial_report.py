@@ -75,7 +75,7 @@ MEANING = {
     "cross-track": "RMS distance to the figure eight, near the moving target",
     "rmse target": "RMS distance to the moving target",
     "power": "mean electrical power, idle included",
-    "RI": "rheotactic index over 30 to 60 s, heading averaged over a beat; 1 = always upstream",
+    "RI": "rheotactic index over 30 to 60 s, heading averaged over a beat; 1 = always upstream; not defined (-) at 0 m/s",
 }
 
 
