@@ -24,6 +24,7 @@ from fishmj.log import read_trial
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
+from fishmj.water.choice import in_water
 from fishmj.water.hydro_model import HydroModel
 
 EVIL_COMMAND = "fishmj train --out '</script><script>alert(1)</script><img src=x onerror=alert(1)>'"
@@ -73,6 +74,19 @@ def test_training_writes_the_whole_header():
 
 def test_the_robot_of_the_header_is_taken_without_a_word(tmp_path):
     assert control.make(stored(tmp_path, header()), ROBOT).notes == ()
+
+
+@pytest.mark.parametrize("water", ["family", "swift", "swift-reference", "swift-slip095"])
+def test_a_member_of_the_family_of_the_training_is_taken_without_a_word(water):
+    assert control.make("station-family", in_water(load_robot("fish"), water)).notes == ()
+
+
+@pytest.mark.parametrize("water", ["structured", "swift-base", "swift#2", "swift-noslip"])
+def test_a_water_outside_the_family_of_the_training_is_noted(tmp_path, water):
+    (note,) = control.make("station-family", robot := in_water(load_robot("fish"), water)).notes
+    assert f"not as trained: water swift-family, here {water.replace('#', '.')}" in note
+    foreign = header() | {"water": {"name": "swift-family", "kind": "family", "sha256": "0" * 64}}  # another one of that name
+    assert "not as trained: water" in control.make(stored(tmp_path, foreign), robot).notes[0]
 
 
 def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):

@@ -21,6 +21,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import is_name
+from fishmj.water.water_identity import members_of
 
 CLOSE = 0.10  # of a link's length, what calibrations change
 SAME = 1e-3  # of ranges and times: rounding
@@ -176,10 +177,15 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
 
 
 def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
-    """Short names of two waters if they differ, else None; without a hash on both sides the names decide."""
+    """Short names of two waters if they differ, else None; without a hash on both sides the names decide.
+
+    A member of the family of a training is one of the waters that its episodes drew.
+    """
     a, b = theirs.get("sha256"), ours.get("sha256")
     named = theirs["name"] == ours["name"]
     if theirs["kind"] == ours["kind"] and (a == b if a and b else named):
+        return None
+    if ours["kind"] == "fitted" and ours in members_of(theirs):
         return None
     there, here = (f"{w['name']} ({w['kind']} {w.get('sha256', '')[:8]})" if named else w["name"] for w in (theirs, ours))
     return there, here

@@ -18,7 +18,8 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import read_json, sha256, write_text
 from fishmj.control.policy import Policy, file_of
-from fishmj.water.choice import family_of, fitted_water
+from fishmj.water.choice import fitted_water
+from fishmj.water.water_identity import members_of
 
 SCHEMA = "fishmj.policy-card/1"
 ENDING = ".card.json"  # in place of the weights' .safetensors
@@ -163,10 +164,7 @@ def waters_of(meta: dict) -> list[dict[str, str]]:
 
     A fitted water that is installed with the same hash also has the sha256 of the data set that it is fitted to, `segments`.
     """
-    found = [dict(meta["water"])] if meta.get("water") else []
-    family = family_of(found[0]["name"]) if found and found[0]["kind"] == "family" else None
-    if family is not None and family.sha256 == found[0].get("sha256"):
-        found += [{"name": member.name, "kind": "fitted", "sha256": member.sha256} for member in family.members]
+    found = [dict(meta["water"]), *members_of(meta["water"])] if meta.get("water") else []
     for water in found:
         try:
             model = fitted_water(water["name"]) if water["kind"] == "fitted" else None

@@ -1,8 +1,10 @@
 """Identity of a robot's water, for the header of a policy and the comparison in an evaluation."""
 
 import json
+from collections.abc import Mapping
 from hashlib import sha256
 
+from fishmj.base import calib
 from fishmj.base.store import plain
 from fishmj.mjcf.description import Robot
 from fishmj.water.choice import STRUCTURED, family_of, label, model_of
@@ -34,3 +36,11 @@ def water_identity(robot: Robot) -> dict[str, str]:
     table = {key: value for key, value in robot.water.items() if key not in ("model", "own") and value is not None}
     text = json.dumps(plain(table), sort_keys=True, default=str)
     return {"name": name, "kind": STRUCTURED, "sha256": sha256(text.encode()).hexdigest()}
+
+
+def members_of(water: Mapping[str, str]) -> list[dict[str, str]]:
+    """Identities of the members of a family that comes with fishmj with the same hash; [] for any other water."""
+    known = water["kind"] == "family" and water["name"] in calib.families()
+    if not known or (family := family_of(water["name"])) is None or family.sha256 != water.get("sha256"):
+        return []
+    return [{"name": member.name, "kind": "fitted", "sha256": member.sha256} for member in family.members]
