@@ -13,7 +13,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.hydro_fit import segment_dataset
 from fishmj.hydro_fit.campaign.data import plan, run_segments, solver_hash
-from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, domain_of_model, main
+from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, main
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive
 from fishmj.hydro_fit.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.hydro_fit.record import HALF, narrow, read_record
@@ -21,7 +21,6 @@ from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
 from fishmj.lbm_oracle.immersed.markers import EDGES, WALL_STRESS
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
-from fishmj.water.hydro_model import HydroModel
 
 FISH, SECOND = load_robot("fish"), load_robot("tendon_fish")
 SETUP = run_segments.Setup(domain=preset("laptop"), device="cpu")
@@ -239,9 +238,6 @@ def test_a_data_set_is_continued_in_its_own_box(tmp_path):
     assert domain_of(Namespace(domain=None, dt=None, preview=True), tmp_path).name == "laptop"
     other = domain_of(Namespace(domain="laptop", dt=0.001, preview=False), SHIPPED)
     assert (other.name, other.dt) == ("laptop", 0.001)
-    model = HydroModel.load("swift")
-    assert domain_of_model(None, model).name == "window_coarse" and domain_of_model("laptop", model).name == "laptop"
-    assert domain_of_model(None, replace(model, dataset={})).name == "window"
     (tmp_path / SPLIT).write_text('{"grid": {"domain": "window"}}')
     with pytest.raises(DatasetError, match="grid with domain and dt"):
         domain_of(asked, tmp_path)

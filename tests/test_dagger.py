@@ -6,14 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fishmj.base.errors import ConfigError
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
 from fishmj.hydro_fit.fit import incremental, rollout
 from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.run.domain import preset
-from fishmj.lbm_oracle.run.solver_water import REFERENCE, boundary_of
 from fishmj.mjcf import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
@@ -92,13 +90,6 @@ def test_streams_of_a_round_are_drawn_between_the_bounds_that_are_asked():
     ]
     np.testing.assert_allclose(speeds(0.1, 0.2), 0.1 + 0.1 * np.array(speeds()) / plan.STEERED)
     assert 0.1 < min(speeds(0.1, 0.2)) < max(speeds(0.1, 0.2)) < 0.2
-
-
-def test_a_water_is_corrected_with_the_boundary_of_its_own_segments():
-    reference = HydroModel.load("swift-reference")
-    assert boundary_of(reference.dataset) == REFERENCE.sharpness != boundary_of(HydroModel.load("swift").dataset)
-    with pytest.raises(ConfigError, match="boundary soft; expected plain, rims"):
-        boundary_of({"boundary": "soft"})
 
 
 def test_a_refit_takes_every_round_and_thins_all_earlier_data_sets(tmp_path, monkeypatch):

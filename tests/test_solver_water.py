@@ -1,26 +1,36 @@
 """Which water of the solver is meant: the plain one, the reference, or what options say; and the plans solved in it."""
 
+from argparse import Namespace
 from dataclasses import replace
 
 import pytest
 
 from fishmj import control
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName, UsageError
+from fishmj.engines.hybrid import HybridOptions
 from fishmj.engines.lbm import LbmEngine
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import run_trials, trials
+from fishmj.evaluate.rank_waters import rank_waters_command
 from fishmj.gap.calibrate import slip
+from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import collect
 from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.lbm_oracle.immersed.body import ImmersedBody
 from fishmj.lbm_oracle.immersed.markers import FINS, Sharpness
+from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, preset
 from fishmj.lbm_oracle.run.setup import SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, PLAIN, REFERENCE, REFERENCES, asked_for, boundary_name
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, PLAIN, REFERENCE, REFERENCES, asked_for, boundary_name, water_of_fit
 from fishmj.mjcf import load_robot
+from fishmj.train import correct_water
+from fishmj.train.settings import change
+from fishmj.train.settings import preset as train_preset
+from fishmj.water.choice import in_water
 from fishmj.water.flow import Flow
+from fishmj.water.hydro_model import HydroModel
 
 
 def test_plain_is_the_papers_tank_and_options_change_it():
@@ -108,6 +118,38 @@ def test_a_table_of_solver_swims_is_found_by_its_grid_and_boundary():
     assert slip.table_name({"grid": "window"}) == slip.table_name({"grid": "window", "boundary": "plain"}) == "window"
     with pytest.raises(UnknownName, match="window, rims"):
         slip.predictions(slip.table_name({"grid": "window", "boundary": "rims"}), [1.0])
+
+
+def test_water_of_a_fit_is_that_of_its_segments():
+    model = HydroModel.load("swift-reference")
+    same = PLAIN._replace(domain="window_coarse_refined", slip=REFERENCE.slip, sharpness=REFERENCE.sharpness)
+    assert water_of_fit(model.dataset, model.slip) == same
+    plain = HydroModel.load("swift-noslip")
+    assert water_of_fit(plain.dataset, plain.slip) == PLAIN._replace(domain="window_coarse", slip=0.0)
+    assert water_of_fit(plain.dataset, plain.slip, "laptop").domain == "laptop"
+    with pytest.raises(ConfigError, match="boundary soft; expected plain, rims"):
+        water_of_fit({"boundary": "soft"}, 1.0)
+
+
+@pytest.mark.parametrize(("grid", "box"), [({}, PLAIN.window), ({"grid": ""}, PLAIN.window), ({"grid": "window"}, "window")])
+def test_all_that_swims_in_the_water_of_a_fit_takes_the_same_box(grid, box, tmp_path, monkeypatch):
+    """Where a fit named no box, corrections and rankings took cells of 1 cm, the hybrid of 2 cm as in the shipped segments."""
+
+    def refused(verb, device, work, **rest):
+        raise UsageError(work[0][0].name)
+
+    monkeypatch.setattr(solver_cost, "agree", refused)
+    fit = str(replace(HydroModel.load("swift"), dataset=grid).save(tmp_path))
+    assert HybridOptions().solver(in_water(load_robot("fish"), fit)).domain == box
+    few = ["--model", fit, "--out", str(tmp_path)]
+    asked = Namespace(slip=None, domain=None, rounds=1, device="cpu", yes=False)
+    for verb in (
+        lambda: rank_waters_command.main(["pd", *few]),
+        lambda: dagger.main(["pd", "--data", "data/hydro/tendon_fish", *few]),
+        lambda: correct_water.affordable(change(train_preset("quick"), water=fit), asked),
+    ):
+        with pytest.raises(UsageError, match=f"^{box}$"):
+            verb()
 
 
 def test_reference_is_of_the_solver_alone():

@@ -21,13 +21,13 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json, write_json
 from fishmj.hydro_fit.campaign.dagger import dagger
-from fishmj.hydro_fit.campaign.data.collect import Local, Pool, domain_of_model, tanks_on
+from fishmj.hydro_fit.campaign.data.collect import Local, Pool, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.solver_water import boundary_of
+from fishmj.lbm_oracle.run.solver_water import water_of_fit
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.train.begin import begin_with
 from fishmj.train.build import settled, water_for
@@ -66,14 +66,14 @@ def train_and_correct(
     """
     robot = with_timing(load_robot(settings.robot), settings.control_dt or None, settings.command_path, "train --control-dt")
     model = first_water(settings, slip)
-    box = domain_of_model(domain, model)
-    about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": box.name, "steps": steps}
+    tank = water_of_fit(model.dataset, model.slip, domain)
+    about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": tank.box.name, "steps": steps}
     if (folder / FILE).is_file() and read_json(folder / FILE) != about:
         raise ConfigError(f"{folder} holds a run with other options; repeat its command to go on, or choose another --out")
     write_json(folder / FILE, about)
     data = open_dataset(Path("data") / "hydro" / robot.name)
     devices = devices_of(device)
-    setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=boundary_of(model.dataset))
+    setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)
     pool = pool or Local(tanks_on(devices[0]), devices)
     made: list[Path] = []
 
@@ -112,10 +112,10 @@ def trained(settings: Settings, water: Path, folder: Path, begin: str | None, as
 
 def affordable(settings: Settings, args) -> None:
     """Checks that the solver's part can be done here. Raises TooMuch with the estimate."""
-    box = domain_of_model(args.domain, first_water(settings, args.slip))
+    model = first_water(settings, args.slip)
     water = args.rounds * EPISODES * (SECONDS + dagger.SHORT)
     less = "take fewer --rounds; --domain laptop is a preview"
-    work = [(level, water) for level in box.levels]
+    work = [(level, water) for level in water_of_fit(model.dataset, model.slip, args.domain).box.levels]
     solver_cost.agree("train --correct", args.device or "auto", work, instead=less, flag="--yes", asked=args.yes)
 
 

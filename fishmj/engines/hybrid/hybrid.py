@@ -33,7 +33,7 @@ from fishmj.engines.hybrid import online_correction
 from fishmj.engines.hybrid.hybrid_segment import FreeSwim, HybridSegment, Misses, Oracle, Replay
 from fishmj.engines.hybrid.online_correction import FACTORS, Correction
 from fishmj.lbm_oracle.run.domain import PREVIEWS
-from fishmj.lbm_oracle.run.solver_water import PLAIN, SolverWater, boundary_entry, boundary_of
+from fishmj.lbm_oracle.run.solver_water import PLAIN, SolverWater, boundary_entry, water_of_fit
 from fishmj.mjcf.description import Robot
 from fishmj.water import choice
 from fishmj.water.flow import Current, Flow, shifted
@@ -42,7 +42,6 @@ OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right wa
 SPAN = 2.0  # s of a segment that are compared
 LEAD = f"s of a segment for which the fish is led along MuJoCo's path; {SPAN:g} s more are compared"
 LEAVING = 10.0  # s that the end of the program waits for a tick of the solver
-BOX = "window_coarse"  # where the water does not say which box it was fitted in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,11 +83,8 @@ class HybridOptions:
         name = robot.name if choice.label(robot) == choice.FITTED else choice.label(robot)
         fitted = None if name in choice.KINDS else choice.fitted_water(name)
         made, slip = (fitted.dataset, fitted.slip) if fitted is not None else ({}, PLAIN.slip)
-        return PLAIN._replace(
-            domain=self.domain or str(made.get("grid", BOX)),
-            slip=slip if self.slip is None else self.slip,
-            sharpness=boundary_of({"boundary": self.boundary} if self.boundary else made),
-        )
+        made = made | ({"boundary": self.boundary} if self.boundary else {})
+        return water_of_fit(made, slip if self.slip is None else self.slip, self.domain)
 
     def label(self, robot: Robot) -> str:
         """One line for tables: all options that a swim depends on."""

@@ -23,12 +23,12 @@ from fishmj.base.store import clear, write_json
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.rank_waters import compare_waters, rank
 from fishmj.evaluate.rank_waters.plot import picture
-from fishmj.hydro_fit.campaign.data.collect import GO, ON_GPU, domain_of_model, tanks_on
+from fishmj.hydro_fit.campaign.data.collect import GO, ON_GPU, tanks_on
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.run import solver_cost
-from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
-from fishmj.lbm_oracle.run.solver_water import PLAIN, boundary_entry, boundary_of
+from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS
+from fishmj.lbm_oracle.run.solver_water import boundary_entry, water_of_fit
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel, shipped
 
@@ -80,7 +80,7 @@ def main(argv: list[str]) -> int:
     args = options().parse_args(argv)
     robot, water = load_robot(args.fish), args.model or default_model(args.fish)
     model, fitted = HydroModel.load(water), engines.in_water(robot, water)
-    args.domain = domain_of_model(args.domain, model).name
+    solver = args.solver = water_of_fit(model.dataset, model.slip, args.domain)
     names = list(args.controllers) or list(DEFAULT)
     brains = control.several(names, run_trials.solved(robot), anyway=args.anyway)
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
@@ -89,20 +89,12 @@ def main(argv: list[str]) -> int:
     runs = (run_trials.UNCHANGED, *compare_waters.AGAIN[: args.again])
     total = trials.duration * len(trials) * len(brains) * len(runs)
     less = "--domain laptop --trials 6 --seconds 10 is a preview"
-    solver_cost.agree(
-        "hydro_fit rank",
-        args.device,
-        [(preset(args.domain), total)],
-        instead=less,
-        tanks=args.tanks or 1,
-        flag=GO,
-        asked=args.budget is not None,
-    )
+    work, asked = [(solver.box, total)], args.budget is not None
+    solver_cost.agree("hydro_fit rank", args.device, work, instead=less, tanks=args.tanks or 1, flag=GO, asked=asked)
     device = str(device_of(args.device))
     tanks = tanks_on(device, args.tanks)
-    solver = PLAIN._replace(domain=args.domain, slip=model.slip, sharpness=boundary_of(model.dataset))
     waters = [compare_waters.in_solver(robot, args.out, solver, device=args.device, tanks=tanks, variation=run) for run in runs]
-    beside = [(0.0, 0.0), *(compare_waters.shifts(args.seed, preset(args.domain).dx) if args.again else ())]
+    beside = [(0.0, 0.0), *(compare_waters.shifts(args.seed, solver.box.dx) if args.again else ())]
     body = engines.make(args.engine, fitted)
     surrogates = [compare_waters.in_surrogate(fitted, body, shift) for shift in beside]
     with interrupt.keeping(lambda: kept_words(args.out)):
@@ -165,14 +157,14 @@ def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model
     judged = {key: rank.judged(key, of(solved, key), of(swum, key)) for key in compare_waters.KEYS}
     return {
         "ok": rank.all_of(list(judged["rmse_after_arrival"]["passed"].values())),
-        "preview": args.domain in PREVIEWS,
+        "preview": args.solver.domain in PREVIEWS,
         "origin": "synthetic",
         "model": model.name,
         "model_fitted_on": model.dataset.get("grid", ""),
         "model_dataset_sha256": model.dataset.get("sha256", ""),
         "slip": model.slip,
-        "domain": args.domain,
-        **boundary_entry(boundary_of(model.dataset)),
+        "domain": args.solver.domain,
+        **boundary_entry(args.solver.sharpness),
         "solver_sha256": solver_sha256(),
         "seed": args.seed,
         "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},

@@ -154,6 +154,18 @@ LOW_REYNOLDS = SolverWater(
 REFERENCES = {water.name: water for water in (REFERENCE, WALL_STRESS, LOW_REYNOLDS)}
 
 
+def water_of_fit(dataset: Mapping[str, Any], slip: float, domain: str | None = None) -> SolverWater:
+    """Water in which the segments of a fitted water were solved.
+
+    Args:
+        dataset, slip: of the fit. domain: box in place of the segments'; of a fit that names none, the window of `PLAIN`.
+
+    Raises ConfigError: a boundary without a name.
+    """
+    box = str(domain or dataset.get("grid") or PLAIN.window)
+    return PLAIN._replace(domain=box, slip=slip, sharpness=boundary_of(dataset))
+
+
 def reference_option(add: Callable[..., Any], otherwise: str) -> None:
     """Adds the option `--reference [NAME]` to a command; `otherwise`: its default, in words."""
     which = "; ".join(water.said for water in REFERENCES.values())

@@ -37,7 +37,7 @@ from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, domain_of_model, tanks_on
+from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect, tanks_on
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
@@ -46,7 +46,7 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run_log import flow_at_links
-from fishmj.lbm_oracle.run.solver_water import boundary_name, boundary_of
+from fishmj.lbm_oracle.run.solver_water import boundary_name, water_of_fit
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import arrived_of, on_the_bus
@@ -296,19 +296,18 @@ def main(argv: list[str]) -> int:
     robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
     control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = [open_dataset(folder) for folder in args.data or [Path("data") / "hydro" / robot.name]]
-    box, edge = domain_of_model(args.domain, began), boundary_of(began.dataset)
+    tank = water_of_fit(began.dataset, began.slip, args.domain)
     words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
-    here = words(box.name, boundary_name(edge))
+    here = words(tank.domain, boundary_name(tank.sharpness))
     for data in first:
         if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in data.about.values()}) != {here}:
             console.warn(f"{data.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
     water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
-    solver_cost.agree(
-        "hydro_fit correct", args.device, [(level, water) for level in box.levels], instead=less, tanks=args.tanks or 1
-    )
+    work = [(level, water) for level in tank.box.levels]
+    solver_cost.agree("hydro_fit correct", args.device, work, instead=less, tanks=args.tanks or 1)
     devices = devices_of(args.device)
-    setup = Setup(robot=robot, domain=box, device=devices[0], sharpness=edge)
+    setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)
     speeds = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1])
     sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds, "speeds": speeds}
     pool = Local(tanks_on(devices[0], args.tanks), devices)

@@ -35,7 +35,6 @@ from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for,
 from fishmj.lbm_oracle.run.spread import ray_device, spread
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
-from fishmj.water.hydro_model import HydroModel
 
 SCHEMA = "fishmj.campaign/1"
 ON_GPU = 12  # tanks of two million cells that fill one
@@ -360,11 +359,6 @@ def domain_there(folder: Path) -> Domain:
         return preset(grid["domain"]).changed(dt=float(grid["dt"]))
     except (TypeError, KeyError, ValueError) as error:
         raise DatasetError(f"{path}: {error!r}; expected a grid with domain and dt. Take another folder") from error
-
-
-def domain_of_model(asked: str | None, model: HydroModel) -> Domain:
-    """Domain of the option, else the one in which the model's segments were solved: another grid is another water."""
-    return preset(asked or str(model.dataset.get("grid", BOX)))
 
 
 def default_folder(plan: CampaignPlan) -> Path:
