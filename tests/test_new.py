@@ -4,6 +4,7 @@ All fish here are synthetic.
 """
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from types import SimpleNamespace
@@ -46,6 +47,25 @@ def test_options_make_a_description_that_reads_back_and_swims(capsys, tmp_path):
     text = (tmp_path / "pike.toml").read_text()
     assert "height 0.11 m: given on the command line" in text and "mass_total = 1.6 " in text
     assert "m from the nose: typical for this number of links, not measured" in text  # --links 5 says no place
+
+
+def test_an_edited_description_gets_the_same_checks_and_nothing_is_written(capsys, tmp_path):
+    assert new("pike", *FIVE, "--json") == console.OK
+    fresh = json.loads(capsys.readouterr().out.splitlines()[-1])
+    text = (tmp_path / "pike.toml").read_text()
+    files = sorted(tmp_path.iterdir())
+    assert new("--check", "pike.toml", "--json") == console.OK
+    again = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert again["checks"] == fresh["checks"] and again["passed"] and again["description"] == "pike.toml"
+    weak = re.sub(r"(\[servo\][^[]*?\ntorque\w* = )[\d.]+", r"\g<1>0.3", text)
+    assert weak != text
+    (tmp_path / "pike.toml").write_text(weak)
+    new("--check", "pike.toml")
+    row = next(line for line in capsys.readouterr().out.splitlines() if "joint torque" in line)
+    assert " ok " not in row
+    assert "leave them out" in refused(capsys, "pike", "--check", "pike.toml", "--yes")
+    assert "no such file" in refused(capsys, "--check", "perch.toml")
+    assert sorted(tmp_path.iterdir()) == files
 
 
 def test_fish_that_options_describe_weigh_what_they_displace_and_lie_level():
@@ -119,7 +139,7 @@ def test_bad_numbers_are_refused_with_their_option(capsys, option, value):
 
 
 def test_every_numeric_option_is_among_those_tried():
-    skipped = {"--help", "--json", "--out", "--force", "--yes", "--servo", "--sections", "--unit", "--photo", "--nose"}
+    skipped = {"--help", "--json", "--out", "--force", "--yes", "--servo", "--sections", "--unit", "--photo", "--nose", "--check"}
     assert {o for action in verb.options()._actions for o in action.option_strings if o.startswith("--")} - skipped == set(
         NUMERIC
     )

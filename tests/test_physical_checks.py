@@ -198,6 +198,14 @@ def test_a_straight_swim_beside_its_heading_is_noted_not_refused():
     assert levels(off)["heading"] == physical_checks.NOTE and "or a current carries it" in names(off)["heading"]
 
 
+def test_a_stream_that_is_said_to_be_unknown_decides_nothing_about_the_heading():
+    """A fish that holds its place in a stream moves over ground to any side of its heading."""
+    wanders = changed(turning(), "pose", yaw=lambda v: 0 * v + 0.4)
+    of = lambda known: replace(wanders, meta={**wanders.meta, "flow": {"speed": 0.0, "direction": 0.0, "known": known}})
+    assert "is it the heading" in names(of(True))["heading"] and "heading" in names(wanders)
+    assert "heading" not in names(of(False))
+
+
 def test_a_held_or_resting_fish_is_no_stopped_tracker():
     resting = changed(turning(), "cmd", **{f"c{i}": lambda v: np.where(np.arange(len(v)) < 250, v[0], v) for i in (1, 2, 3)})
     still = dict.fromkeys(("x", "y", "yaw"), lambda v: np.where(np.arange(len(v)) < 250, v[0], v))

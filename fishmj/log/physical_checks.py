@@ -473,17 +473,15 @@ def _swims_ahead(trial: Trial) -> bool | None:
 
 
 def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
-    """Course through the water and mean yaw, rad, over 1 s each, while the fish swims; None if there are too few."""
-    pose = trial.tables.get("pose", {})
-    if len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
+    """Course through the water and mean yaw, rad, over 1 s each, while the fish swims; None if few, or in an unknown stream."""
+    pose, unknown = trial.tables.get("pose", {}), trial.value("flow.known") is False
+    if unknown or len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
         return None
     begin, moved = _drifts(pose)
     if len(begin) < FEWEST:
         return None
     stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
     speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
-    if speed > 0 and trial.value("flow.known") is False:
-        return None
     t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
     total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
     vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)

@@ -72,6 +72,7 @@ def train_and_correct(
         raise ConfigError(f"{folder} holds a run with other options; repeat its command to go on, or choose another --out")
     write_json(folder / FILE, about)
     data = open_dataset(Path("data") / "hydro" / robot.name)
+    dagger.warn_of_two_waters([data], tank)
     devices = devices_of(device)
     setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)
     pool = pool or Local(tanks_on(devices[0]), devices)

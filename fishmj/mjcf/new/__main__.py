@@ -16,8 +16,9 @@ EXAMPLES = """examples:
   fishmj new carp --sections table.csv --unit mm --joints 0.215,0.285,0.355 --mass 1.1 --servo lx-824
   fishmj new carp --photo side.png --length 0.54 --nose right --mass 1.1 --width 0.062 --links 4 --servo lx-824
   fishmj new carp --yes --stall-torque 20kgcm --no-load-speed 0.16s/60deg --voltage 7.4 --stall-current 3
+  fishmj new --check carp.toml                                   after an edit: the same checks
 
-Exit 1: the description was written, and a check says that it is wrong.
+Exit 1: a check says that the description is wrong; a new one was written all the same.
 """
 
 
@@ -30,6 +31,8 @@ def options() -> console.Parser:
     p.add_argument("--out", type=console.out_file, metavar="FILE", help=out)
     p.add_argument("--force", action="store_true", help="overwrite files that are there")
     p.add_argument("--yes", action="store_true", help="ask nothing: defaults for what is missing")
+    check = "check a description that is there, such as an edited one, and write nothing (default: describe a new fish)"
+    p.add_argument("--check", type=console.path, metavar="FILE", help=check)
     _answers(p.add_argument_group("answers", "a length may be 0.6, '60 cm' or 600mm, a mass 1.3 or 1300g; without a unit SI"))
     _outline(p.add_argument_group("measured outline, in place of length, height, width and tail height"))
     _data_sheet(p.add_argument_group("servo from its data sheet, in place of --servo; all at one voltage"))
@@ -96,6 +99,8 @@ def _data_sheet(group) -> None:
 def main(argv: list[str]) -> int:
     """The verb `new`: asks, builds the fish, and writes and checks its description. Returns the exit code."""
     args = options().parse_args(argv)
+    if args.check is not None:
+        return check(args)
     from fishmj.mjcf.new import answers
     from fishmj.mjcf.new.fish_toml import SIDE_SPAN, FishAnswers
     from fishmj.mjcf.new.shape import read_sections
@@ -126,32 +131,53 @@ def main(argv: list[str]) -> int:
     return finish(args, files, fish, seen)
 
 
+def check(args) -> int:
+    """Checks the description `--check` and prints the findings; it writes nothing. Returns the exit code."""
+    from fishmj.mjcf.reading import load_robot
+
+    usual = vars(options().parse_args([])) | {"check": args.check, "json": args.json}
+    if beside := [key for key, value in vars(args).items() if value != usual[key]]:
+        names = ", ".join(key if key == "name" else f"--{key.replace('_', '-')}" for key in beside)
+        raise UsageError(f"new: --check with {names}: it reads {args.check} as it is; leave them out")
+    facts, wrong = found_of(load_robot(args.check))
+    if args.json:
+        console.emit_json({"description": str(args.check), **facts, "passed": not wrong})
+    return console.FAILED_CHECK if wrong else console.OK
+
+
+def found_of(robot) -> tuple[dict[str, Any], bool]:
+    """Swims the robot for five seconds and prints its checks. Returns the facts for JSON, and True if a check is wrong."""
+    from fishmj.mjcf.new.swim_check import checks, swim_of
+    from fishmj.sim import Sim
+
+    swim = swim_of(Sim(robot))
+    found = checks(robot, swim)
+    rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
+    console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))
+    facts = {"name": robot.name, "speed": swim.speed, "lengths_per_second": swim.speed / robot.length, "torque": swim.torque}
+    facts |= {"mass": round(robot.mass, 9), "checks": [c._asdict() for c in found]}
+    return facts, any(c.verdict == "wrong" for c in found)
+
+
 def finish(args, files: dict[str, Path], fish, seen) -> int:
     """Checks the description after reading it back, writes all files, and prints the findings. Returns the exit code."""
     from fishmj.base import store
     from fishmj.mjcf.new.fish_picture import picture
     from fishmj.mjcf.new.fish_toml import robot_of, toml_of
-    from fishmj.mjcf.new.swim_check import checks, swim_of
     from fishmj.mjcf.reading import robot_from_dict
-    from fishmj.sim import Sim
 
     text = toml_of(robot_of(fish), fish)
     robot = robot_from_dict(tomllib.loads(text), str(files["description"]))  # nothing is written that does not read back
-    swim = swim_of(Sim(robot))
-    found = checks(robot, swim)
+    facts, wrong = found_of(robot)
     store.write_text(files["description"], text)
     store.write_bytes(files["picture"], picture(robot))
     if seen is not None:
         store.write_bytes(files["outline"], seen.overlay)
-    wrong = [c for c in found if c.verdict == "wrong"]
-    rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
-    console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))
     written = {key: str(files[key]) for key in ("description", "picture", *(("outline",) if seen is not None else ()))}
     console.say(*(f"wrote {path}" for path in written.values()), "", *next_steps(files["description"], robot.name))
     if args.json:
-        facts = {"name": robot.name, "speed": swim.speed, "lengths_per_second": swim.speed / robot.length, "torque": swim.torque}
-        facts |= {"mass": round(robot.mass, 9)} | ({} if seen is None else {"notes": list(seen.notes)})
-        console.emit_json({**written, **facts, "checks": [c._asdict() for c in found], "passed": not wrong})
+        notes = {} if seen is None else {"notes": list(seen.notes)}
+        console.emit_json({**written, **facts, **notes, "passed": not wrong})
     return console.FAILED_CHECK if wrong else console.OK
 
 

@@ -46,7 +46,7 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.lbm_oracle.run.run_log import flow_at_links
-from fishmj.lbm_oracle.run.solver_water import boundary_name, water_of_fit
+from fishmj.lbm_oracle.run.solver_water import SolverWater, boundary_name, water_of_fit
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import arrived_of, on_the_bus
@@ -297,11 +297,7 @@ def main(argv: list[str]) -> int:
     control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
     first = [open_dataset(folder) for folder in args.data or [Path("data") / "hydro" / robot.name]]
     tank = water_of_fit(began.dataset, began.slip, args.domain)
-    words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
-    here = words(tank.domain, boundary_name(tank.sharpness))
-    for data in first:
-        if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in data.about.values()}) != {here}:
-            console.warn(f"{data.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
+    warn_of_two_waters(first, tank)
     water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
     work = [(level, water) for level in tank.box.levels]
@@ -319,6 +315,15 @@ def main(argv: list[str]) -> int:
     if args.json:
         console.emit_json({"rounds": found["rounds"], "agreed": found["agreed"], "model": str(path)})
     return console.OK if found["agreed"] else console.FAILED_CHECK
+
+
+def warn_of_two_waters(first: Sequence[SegmentDataset], tank: SolverWater) -> None:
+    """Warns of each data set that was solved in another box or boundary than the rounds' tank."""
+    words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
+    here = words(tank.domain, boundary_name(tank.sharpness))
+    for data in first:
+        if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in data.about.values()}) != {here}:
+            console.warn(f"{data.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
 
 
 def kept_words(out: Path) -> str:
