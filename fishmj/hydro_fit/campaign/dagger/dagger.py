@@ -332,8 +332,10 @@ def kept_words(out: Path) -> str:
     return f"{out} holds {rounds} finished rounds and {swims} segments of the solver; {interrupt.again()}"
 
 
-def refitted(robot: Robot, model: HydroModel, first: Sequence[SegmentDataset], solver: Path, out: Path) -> HydroModel:
-    """Model refitted to the free swims of all rounds and, thinned to `SWIMS` s, of the first data sets.
+def refitted(
+    robot: Robot, model: HydroModel, first: Sequence[SegmentDataset], solver: Path, out: Path, *, swims: float = SWIMS
+) -> HydroModel:
+    """Model refitted to the free swims of all rounds and, thinned to `swims` s in all, of the first data sets.
 
     Args:
         out: folder of the rounds; finished stages of the fit are kept there.
@@ -348,7 +350,7 @@ def refitted(robot: Robot, model: HydroModel, first: Sequence[SegmentDataset], s
     of = lambda sets, split: [r for data in sets for r in data.records(split, slip=model.slip) if keep(r)]
     added = open_dataset(solver)
     new, old = ({split: of(sets, split) for split in ("train", "val")} for sets in ([added], first))
-    room = max(SWIMS - sum(r.seconds for r in new["train"]), SWIMS / 3)
+    room = max(swims - sum(r.seconds for r in new["train"]), swims / 3)
     every = max(1, ceil(sum(r.seconds for r in old["train"]) / room))
     water = {key: model.dataset[key] for key in ("grid", "boundary") if key in model.dataset}
     before = ", ".join(data.sha256 for data in first)

@@ -1,0 +1,90 @@
+"""DAgger near still water: a policy's own episodes in the flow solver's reference water, and a refit of the water to them.
+
+    python -m studies.fitted_water.still_rounds solve POLICY --water W --seed 4300 --seconds 25 --out runs/one
+    python -m studies.fitted_water.still_rounds refit --water W --data REFERENCE EARLIER --rounds runs/one --out runs/water-1
+
+`solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (4 min on two cores, 70 s on 64). It differs from `fishmj
+hydro_fit correct` in its streams: every second episode is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s.
+`--middle` adds the short segments from the fit's states half-way. `--most` is the limit of swims in a fit. *synthetic*
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from fishmj.base import console
+from fishmj.hydro_fit.campaign.dagger import dagger
+from fishmj.hydro_fit.campaign.data import plan as plans
+from fishmj.hydro_fit.campaign.data.collect import REFERENCE, Local, collect, preset
+from fishmj.hydro_fit.campaign.data.run_segments import Setup
+from fishmj.hydro_fit.campaign.data.segment import Segment
+from fishmj.hydro_fit.segment_dataset import open_dataset
+from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.reading import load_robot
+from fishmj.water.hydro_model import HydroModel
+
+EPISODES = 24
+VALIDATE = (4, 11, 16, 23)  # two of either kind
+FASTEST = 0.05  # m/s
+
+
+def episodes(robot: Robot, policy: str, seed: int, seconds: float) -> list[Segment]:
+    """Episodes of a policy in and near still water."""
+    plan = plans.on_policy(robot, policy, episodes=EPISODES, seconds=seconds, seed=seed, slip=REFERENCE.slip)
+    made = []
+    for k, segment in enumerate(plan.segments):
+        rest = k % 2 == 0
+        flow = replace(segment.flow, speed=0.0 if rest else FASTEST * (k % 12) / 12)
+        flow = replace(flow, turbulence="none") if rest else flow
+        made.append(replace(segment, flow=flow, split="val" if k in VALIDATE else "train"))
+    return made
+
+
+def solve(given) -> int:
+    """Swims the episodes in the fitted water and in the solver, and prints the mean returns of both."""
+    robot, model = load_robot("fish"), HydroModel.load(given.water)
+    rolls = dagger.roll_outs(robot, model, episodes(robot, given.policy, given.seed, given.seconds))
+    plan = dagger.round_plan(robot, given.policy, rolls, given.seed)
+    if not given.middle:
+        plan = replace(plan, segments=tuple(segment for segment, _ in rolls))
+    devices = devices_of(given.device)
+    setup = Setup(robot=robot, domain=preset(REFERENCE.window), device=devices[0], sharpness=REFERENCE.sharpness)
+    collect(plan, given.out, setup, pool=Local(EPISODES // len(devices), devices))
+    console.say(console.table([dagger.compare_returns(robot, given.out, rolls)]))
+    return console.OK
+
+
+def refit(given) -> int:
+    """Refits the water to the rounds and the earlier data sets."""
+    first = [open_dataset(folder) for folder in given.data]
+    model = HydroModel.load(given.water)
+    made = dagger.refitted(load_robot("fish"), model, first, given.rounds, given.out, swims=given.most)
+    console.say(f"wrote {made.save(given.out)}", made.notes)
+    return console.OK
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    verbs = parser.add_subparsers(required=True)
+    for function in (solve, refit):
+        verb = verbs.add_parser(function.__name__, help=function.__doc__)
+        verb.set_defaults(run=function)
+        verb.add_argument("--water", default="swift-reference", help="fitted water to begin with (default: swift-reference)")
+        verb.add_argument("--out", type=Path, required=True, help="data set, or folder of the water, to write")
+        if function is solve:
+            verb.add_argument("policy", help="name or file")
+            verb.add_argument("--seed", type=int, required=True, help="of the draws of the episodes")
+            verb.add_argument("--seconds", type=float, default=30.0, help="of an episode (default: 30)")
+            verb.add_argument("--middle", action="store_true", help="short segments from the fit's states, too")
+            verb.add_argument("--device", default="cuda:all", help="of the solver (default: cuda:all)")
+        else:
+            verb.add_argument("--rounds", type=Path, required=True, help="data set that `solve` wrote")
+            verb.add_argument("--data", type=Path, nargs="+", required=True, help="data sets of earlier fits")
+            verb.add_argument("--most", type=float, default=dagger.SWIMS, help="s of swims in the fit (default: 1200)")
+    given = parser.parse_args(argv)
+    return given.run(given)
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))
