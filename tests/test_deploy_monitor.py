@@ -160,7 +160,12 @@ def test_the_command_says_what_it_needs(tmp_path, healthy, capsys):
     cut = up_to(healthy, 12.0)
     write_trial(tmp_path / "short", Trial(META, cut))
     assert monitor_command.main([str(tmp_path / "short")]) == 3
-    assert "nothing was watched" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "nothing was watched" in said and "the log is of robot" not in said
+    for other, words in (({"robot": "pike"}, "robot 'pike', the"), ({"body_sha256": "0" * 64}, "robot 'fish' of another body")):
+        write_trial(tmp_path / "other", Trial(META | other, cut), overwrite=True)
+        assert monitor_command.main([str(tmp_path / "other")]) == 3
+        assert f"the log is of {words}" in capsys.readouterr().err
     write_trial(tmp_path / "deaf", Trial(META, {"pose": cut["pose"]}))
     with pytest.raises(LogError, match="no table cmd, joint"):
         monitor_command.main([str(tmp_path / "deaf")])

@@ -13,6 +13,7 @@ from fishmj.deploy.monitor.tick_interpolation import as_heard
 from fishmj.log import Trial, read_trial
 from fishmj.log.dataset import take
 from fishmj.log.trial_folder import FLAT_FILE, META_FILE
+from fishmj.mjcf.identity import another_body
 from fishmj.mjcf.reading import load_robot
 
 WIDE, HIGH, LEFT, TOP, RIGHT, BELOW = 860, 300, 54, 30, 110, 44  # px, of the picture
@@ -51,6 +52,10 @@ def main(argv: list[str]) -> int:
         missing = [table for table in ("cmd", "joint") if not has([trial], table)]
         if missing:
             raise LogError(f"{name}: no table {', '.join(missing)}; the monitor compares commands with joint angles at least")
+        whose = str(trial.value("robot") or robot.name)[:64]
+        if whose not in (robot.name, args.robot) or another_body(trial.meta, robot):
+            body = " of another body" if whose in (robot.name, args.robot) else ""
+            console.warn(f"{name}: the log is of robot {whose!r}{body}, the model is {robot.name!r}; name its own with --robot")
     tables = {table: has(everything, table) for table in ("pose", "power")}
     for table, there in tables.items():
         if not there:
