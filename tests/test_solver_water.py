@@ -133,7 +133,7 @@ def test_water_of_a_fit_is_that_of_its_segments():
 
 @pytest.mark.parametrize(("grid", "box"), [({}, PLAIN.window), ({"grid": ""}, PLAIN.window), ({"grid": "window"}, "window")])
 def test_all_that_swims_in_the_water_of_a_fit_takes_the_same_box(grid, box, tmp_path, monkeypatch):
-    """Where a fit named no box, corrections and rankings took cells of 1 cm, the hybrid of 2 cm as in the shipped segments."""
+    """A fit that names no box has cells of 2 cm, as the shipped segments, in corrections, rankings and the hybrid alike."""
 
     def refused(verb, device, work, **rest):
         raise UsageError(work[0][0].name)

@@ -68,21 +68,21 @@ def refit(given) -> int:
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(required=True)
-    for function in (solve, refit):
-        verb = verbs.add_parser(function.__name__, help=function.__doc__)
+    both = {function: verbs.add_parser(function.__name__, help=function.__doc__) for function in (solve, refit)}
+    for function, verb in both.items():
         verb.set_defaults(run=function)
         verb.add_argument("--water", default="swift-reference", help="fitted water to begin with (default: swift-reference)")
         verb.add_argument("--out", type=Path, required=True, help="data set, or folder of the water, to write")
-        if function is solve:
-            verb.add_argument("policy", help="name or file")
-            verb.add_argument("--seed", type=int, required=True, help="of the draws of the episodes")
-            verb.add_argument("--seconds", type=float, default=30.0, help="of an episode (default: 30)")
-            verb.add_argument("--middle", action="store_true", help="short segments from the fit's states, too")
-            verb.add_argument("--device", default="cuda:all", help="of the solver (default: cuda:all)")
-        else:
-            verb.add_argument("--rounds", type=Path, required=True, help="data set that `solve` wrote")
-            verb.add_argument("--data", type=Path, nargs="+", required=True, help="data sets of earlier fits")
-            verb.add_argument("--most", type=float, default=dagger.SWIMS, help="s of swims in the fit (default: 1200)")
+    add = both[solve].add_argument
+    add("policy", help="name or file")
+    add("--seed", type=int, required=True, help="of the draws of the episodes")
+    add("--seconds", type=float, default=30.0, help="of an episode (default: 30)")
+    add("--middle", action="store_true", help="short segments from the fit's states, too")
+    add("--device", default="cuda:all", help="of the solver (default: cuda:all)")
+    add = both[refit].add_argument
+    add("--rounds", type=Path, required=True, help="data set that `solve` wrote")
+    add("--data", type=Path, nargs="+", required=True, help="data sets of earlier fits")
+    add("--most", type=float, default=dagger.SWIMS, help="s of swims in the fit (default: 1200)")
     given = parser.parse_args(argv)
     return given.run(given)
 

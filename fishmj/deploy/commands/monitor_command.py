@@ -53,8 +53,9 @@ def main(argv: list[str]) -> int:
         if missing:
             raise LogError(f"{name}: no table {', '.join(missing)}; the monitor compares commands with joint angles at least")
         whose = str(trial.value("robot") or robot.name)[:64]
-        if whose not in (robot.name, args.robot) or another_body(trial.meta, robot):
-            body = " of another body" if whose in (robot.name, args.robot) else ""
+        named = whose in (robot.name, args.robot)
+        if not named or another_body(trial.meta, robot):
+            body = " of another body" if named else ""
             console.warn(f"{name}: the log is of robot {whose!r}{body}, the model is {robot.name!r}; name its own with --robot")
     tables = {table: has(everything, table) for table in ("pose", "power")}
     for table, there in tables.items():

@@ -52,12 +52,13 @@ def options(verb: str) -> console.Parser:
     """The arguments of a calibration."""
     from fishmj.gap.calibrate.calibration_logs import shipped
     from fishmj.gap.calibrate.commands import VERBS, default_report
+    from fishmj.gap.commands import gap_options
 
     made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
     add = made.add_argument
     add("--data", type=console.path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
     add("--model", type=console.text, default="fish", help="the fish to start from: shipped name or TOML file")
-    add("--same-robot", action="store_true", help="the logs are the model's, although they state another robot or body")
+    gap_options.of_robot(add)
     out = "fish file (.toml) to write, or to go on with when it is there; by default none is written"
     add("--out", type=_model_file, help=out)
     report = "folder for report.html and pictures; those that are there are replaced"

@@ -34,9 +34,7 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap check", __doc__ or "")
     parser.add_argument("model", type=console.path, help="a version that gap apply or gap find wrote")
     parser.add_argument("--data", type=console.path, required=True, help="data set to replay (needed)")
-    parser.add_argument(
-        "--same-robot", action="store_true", help="the logs are the model's, although they state another robot or body"
-    )
+    gap_options.of_robot(parser.add_argument)
     parent = "of a robot in MJCF: the description that it was made from; default: by verdict.json beside it"
     parser.add_argument("--parent", type=console.path, metavar="ROBOT.xml", help=parent)
     gap_options.of_columns(parser.add_argument)

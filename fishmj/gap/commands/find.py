@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
     add("data", type=console.path, help=data)
     model = "the model to question: shipped name or TOML file of a fish, with its effects (default fish); MJCF or URDF of a robot"
     add("--model", type=console.text, default="fish", help=model)
-    add("--same-robot", action="store_true", help="the logs are the model's, although they state another robot or body")
+    gap_options.of_robot(add)
     water = (
         "a fitted water without a learnt force in place of the model's own, such as swift-base (default structured: as described)"
     )

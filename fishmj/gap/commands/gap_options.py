@@ -27,6 +27,11 @@ def of_mass(add) -> None:
     add("--mass-unknown", action="store_true", help=f"{text} the model's mass counts as weighed, to 0.1 %%)")
 
 
+def of_robot(add) -> None:
+    """Adds --same-robot."""
+    add("--same-robot", action="store_true", help="the logs are the model's, although they state another robot or body")
+
+
 def of_columns(add) -> None:
     """Adds --columns and --yes, of a robot in MJCF."""
     columns = "which column of a log of a robot in MJCF is which; default: guessed from the names"

@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     add("--speed", type=speed, default=3.0, metavar="V", help="of a robot in MJCF: fastest joint, rad/s or m/s (default 3)")
     gap_options.of_columns(add)
     add("--model", type=console.text, help="the model that was questioned; default, the one that the report names, else fish")
-    add("--same-robot", action="store_true", help="the logs are the model's, although they state another robot or body")
+    gap_options.of_robot(add)
     which = "experiments: ids, designed, casual, dry, all, or hinted, a quick look (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
     add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
