@@ -325,6 +325,18 @@ def test_a_refit_begins_with_the_members_of_its_model():
     np.testing.assert_allclose(made, model.members, rtol=1e-5)
 
 
+def test_a_refit_fades_its_residual_by_the_disagreement_of_its_own_members(records, monkeypatch):
+    """With that of the members before it, a refit whose members differ more was halved everywhere, and not taken."""
+    learnt = HydroModel.load("swift").learnt
+    own = learnt._replace(reach=learnt.reach._replace(spread=np.array(9.0), limit=0.0 * learnt.reach.limit))
+    monkeypatch.setattr(FitPipeline, "_with_range", lambda *_: own)
+    again = object.__new__(Refit)
+    chain = planar_chain.chain_of(ROBOT)
+    vars(again).update(model=SimpleNamespace(learnt=learnt), chain=chain, force_records=records["train"][:2])
+    made = again._with_range(own.net, np.zeros(1)).reach
+    assert made.spread == 9.0 and (made.limit >= learnt.reach.limit).all() and (made.speed >= learnt.reach.speed).all()
+
+
 def test_members_that_are_equal_but_for_round_off_add_nothing_to_the_error_bar():
     rng = np.random.default_rng(0)
     value = rng.uniform(0.1, 0.4, 60)

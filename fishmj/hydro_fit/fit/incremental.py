@@ -69,12 +69,13 @@ class Refit(FitPipeline):
         return {}
 
     def _with_range(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
-        """Residual with the old range, widened as far as the new swims exceed it."""
+        """Residual with the old range, widened as far as the new swims exceed it, and the disagreement of its own members."""
         made, before = super()._with_range(net, water), self.model.learnt
         if before is None or before.reach is None:
             return made
         features = training_windows.features(self.chain, rows_of(self.chain, self.force_records))
-        return made._replace(reach=residual_hooks.widened(before.reach, *features))
+        reach = residual_hooks.widened(before.reach, *features)
+        return made._replace(reach=reach._replace(spread=made.reach.spread))
 
     def score(self, water: np.ndarray, learnt) -> float:
         """Mean over the parts of the validation error of the first fit."""
