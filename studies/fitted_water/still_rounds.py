@@ -1,12 +1,12 @@
-"""DAgger near still water: a policy's own episodes in the flow solver's reference water, and a refit of the water to them.
+"""DAgger near still water: a policy's own episodes in the flow solver's water, and a refit of the fitted water to them.
 
     python -m studies.fitted_water.still_rounds solve POLICY --water W --seed 4300 --seconds 25 --out runs/one
     python -m studies.fitted_water.still_rounds refit --water W --data REFERENCE EARLIER --rounds runs/one --out runs/water-1
 
-`solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (80 s to 4 min on two cores, and remakes a fit to 1e-3). It
-differs from `fishmj hydro_fit correct` in its streams: every second episode is in water at rest, without turbulence, the others
-at 0.004 to 0.046 m/s. `--middle` adds the short segments from the fit's states half-way. `--most` is the limit of swims in a
-fit. *synthetic*
+`solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (80 s to 4 min on two cores, and remakes a fit to 1e-3). The
+solver's water is that of the fit: its box, boundary and slip ratio. It differs from `fishmj hydro_fit correct` in its streams:
+every second episode is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s. `--middle` adds the short
+segments from the fit's states half-way. `--most` is the limit of swims in a fit. *synthetic*
 """
 
 import argparse
@@ -16,11 +16,12 @@ from pathlib import Path
 from fishmj.base import console
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import REFERENCE, Local, collect, preset
+from fishmj.hydro_fit.campaign.data.collect import Local, collect
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.run.solver_water import water_of_fit
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel
@@ -30,9 +31,9 @@ VALIDATE = (4, 11, 16, 23)  # two of either kind
 FASTEST = 0.05  # m/s
 
 
-def episodes(robot: Robot, policy: str, seed: int, seconds: float) -> list[Segment]:
+def episodes(robot: Robot, policy: str, seed: int, seconds: float, slip: float) -> list[Segment]:
     """Episodes of a policy in and near still water."""
-    plan = plans.on_policy(robot, policy, episodes=EPISODES, seconds=seconds, seed=seed, slip=REFERENCE.slip)
+    plan = plans.on_policy(robot, policy, episodes=EPISODES, seconds=seconds, seed=seed, slip=slip)
     made = []
     for k, segment in enumerate(plan.segments):
         rest = k % 2 == 0
@@ -45,12 +46,12 @@ def episodes(robot: Robot, policy: str, seed: int, seconds: float) -> list[Segme
 def solve(given) -> int:
     """Swims the episodes in the fitted water and in the solver, and prints the mean returns of both."""
     robot, model = load_robot("fish"), HydroModel.load(given.water)
-    rolls = dagger.roll_outs(robot, model, episodes(robot, given.policy, given.seed, given.seconds))
+    rolls = dagger.roll_outs(robot, model, episodes(robot, given.policy, given.seed, given.seconds, model.slip))
     plan = dagger.round_plan(robot, given.policy, rolls, given.seed)
     if not given.middle:
         plan = replace(plan, segments=tuple(segment for segment, _ in rolls))
-    devices = devices_of(given.device)
-    setup = Setup(robot=robot, domain=preset(REFERENCE.window), device=devices[0], sharpness=REFERENCE.sharpness)
+    devices, tank = devices_of(given.device), water_of_fit(model.dataset, model.slip)
+    setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)
     collect(plan, given.out, setup, pool=Local(EPISODES // len(devices), devices))
     console.say(console.table([dagger.compare_returns(robot, given.out, rolls)]))
     return console.OK

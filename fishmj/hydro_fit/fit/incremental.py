@@ -9,6 +9,7 @@ the new swims and keeps its old extent.
 import hashlib
 import json
 from collections.abc import Sequence
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,15 @@ from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.fit_pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.gauss_newton import factors_of
 from fishmj.hydro_fit.fit.regression_rows import rows_of
+from fishmj.hydro_fit.fit.rollout import is_free
+from fishmj.hydro_fit.fit.rollout_training import BATCH, LENGTH
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
-STEPS = 100  # of learning by swims; the first fit had more of them, from forces alone
+PASSES, LEAST = 14, 100  # of learning by swims: times that each swim is seen; steps at least
 
 
 class Refit(FitPipeline):
@@ -40,7 +43,9 @@ class Refit(FitPipeline):
         self, robot: Robot, model: HydroModel, train: Sequence[SegmentRecord],
         val: tuple[Sequence[SegmentRecord], Sequence[SegmentRecord]], *, dataset: dict, folder: Path | None = None,
     ):  # fmt: skip
-        settings = FitSettings(members=len(model.members), residual=model.learnt is not None, swims=STEPS)
+        pieces = sum(r.seconds for r in train if is_free(r)) / (LENGTH / 2)
+        steps = max(LEAST, ceil(PASSES * pieces / BATCH))
+        settings = FitSettings(members=len(model.members), residual=model.learnt is not None, swims=steps)
         super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings, folder=folder)
         self.model, self.parts = model, [self._match(part, None) for part in val if part]
         sums = [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in self._first().values()]
@@ -71,7 +76,7 @@ class Refit(FitPipeline):
     def _with_range(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
         """Residual with the old range, widened as far as the new swims exceed it, and the disagreement of its own members."""
         made, before = super()._with_range(net, water), self.model.learnt
-        if before is None or before.reach is None:
+        if before is None or before.reach is None or made.reach is None:
             return made
         features = training_windows.features(self.chain, rows_of(self.chain, self.force_records))
         reach = residual_hooks.widened(before.reach, *features)
