@@ -136,6 +136,15 @@ def test_holding_station_is_way_through_the_water():
     assert found["cost_of_transport"] == pytest.approx(10.0 / (1.1 * 9.81))
 
 
+def test_a_fish_that_is_carried_along_has_no_energy_a_metre():
+    """With the stream of 0.2 m/s it makes no way through the water, and used 1e8 J/m."""
+    pose = still(0.5)
+    pose[:, :, :2] += (hand_made(pose).trials.flows()[0].mean[:2] * 0.02 * np.arange(pose.shape[1])[:, None])[None]
+    found = metrics.figures(hand_made(pose))
+    assert np.isnan(found["energy_per_metre"]) and np.isnan(found["cost_of_transport"])
+    assert found["power"] == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize(("off", "cosine", "linear"), [(0, 1, 1), (60, 0.5, 1 / 3), (90, 0, 0), (180, -1, -1)])
 def test_the_rheotactic_index_of_a_steady_heading(off, cosine, linear):
     pose = still(0.5)

@@ -5,7 +5,7 @@
     rmse_after_arrival  m, sqrt(mean d^2) from first entry to 30 s; without arrival 10 to 30 s
     rmse_last20, rmse_total     m, over 40 to 60 s and 0 to 30 s
     power               W, electrical, idle included
-    energy_per_metre    J/m of way through the water;  cost_of_transport = that / (m g)
+    energy_per_metre    J/m of way through the water, over more than the fish's length;  cost_of_transport = that / (m g)
     rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg;
                         in still water, which has no upstream, a trial has neither
 
@@ -149,7 +149,8 @@ def hold_figures(r: Result) -> dict[str, np.ndarray]:
 def energies(r: Result) -> dict[str, np.ndarray]:
     """Power and energies (n,) until a trial ends or leaves."""
     energy = _until_left(r, r.power).sum(1) * r.robot.timing.bus_dt
-    per_metre = energy / np.maximum(_way(r), 1e-6)
+    way = _way(r)  # a fish that is carried along makes none, and less than its own length tells nothing
+    per_metre = energy / np.where(way > r.robot.length, way, np.nan)
     return {
         "power": energy / (np.maximum(np.minimum(r.left, r.power.shape[1]), 1) * r.robot.timing.bus_dt),
         "energy_per_metre": per_metre,
