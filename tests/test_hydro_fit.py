@@ -325,16 +325,18 @@ def test_a_refit_begins_with_the_members_of_its_model():
     np.testing.assert_allclose(made, model.members, rtol=1e-5)
 
 
-def test_a_refit_fades_its_residual_by_the_disagreement_of_its_own_members(records, monkeypatch):
+def test_a_refit_fades_its_residual_by_the_disagreement_of_its_own_members(records):
     """With that of the members before it, a refit whose members differ more was halved everywhere, and not taken."""
-    learnt = HydroModel.load("swift").learnt
-    own = learnt._replace(reach=learnt.reach._replace(spread=np.array(9.0), limit=0.0 * learnt.reach.limit))
-    monkeypatch.setattr(FitPipeline, "_with_range", lambda *_: own)
-    again = object.__new__(Refit)
-    chain = planar_chain.chain_of(ROBOT)
-    vars(again).update(model=SimpleNamespace(learnt=learnt), chain=chain, force_records=records["train"][:2])
-    made = again._with_range(own.net, np.zeros(1)).reach
-    assert made.spread == 9.0 and (made.limit >= learnt.reach.limit).all() and (made.speed >= learnt.reach.speed).all()
+    model = HydroModel.load("swift")
+    before, made = model.learnt.reach, []
+    held = {"chain": planar_chain.chain_of(ROBOT), "force_records": records["train"][:2], "tick": records["train"][0].tick}
+    net = model.learnt.net._replace(outer=3.0 * model.learnt.net.outer)
+    for kind in (FitPipeline, Refit):
+        fit = object.__new__(kind)
+        vars(fit).update(held, model=model, notes=[], score=lambda *_: 1.0)
+        made.append(fit._with_range(net, flat(model.base)).reach)
+    assert made[1].spread == made[0].spread and made[1].spread > 1.5 * before.spread
+    assert (made[1].limit >= before.limit).all() and (made[1].speed >= before.speed).all()
 
 
 def test_members_that_are_equal_but_for_round_off_add_nothing_to_the_error_bar():

@@ -3,10 +3,10 @@
     python -m studies.fitted_water.still_rounds solve POLICY --water W --seed 4300 --seconds 25 --out runs/one
     python -m studies.fitted_water.still_rounds refit --water W --data REFERENCE EARLIER --rounds runs/one --out runs/water-1
 
-`solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (80 s to 4 min on two cores, and remakes a fit to 1e-3). The
-solver's water is that of the fit: its box, boundary and slip ratio. It differs from `fishmj hydro_fit correct` in its streams:
-every second episode is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s. `--middle` adds the short
-segments from the fit's states half-way. `--most` is the limit of swims in a fit. *synthetic*
+`solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (1,200 s of swims: 2.5 min on two cores). The solver's water is
+that of the fit: its box, boundary and slip ratio. It differs from `fishmj hydro_fit correct` in its streams: every second episode
+is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s. `--middle` adds the short segments from the fit's
+states half-way. `--most` is the limit of swims in a fit. *synthetic*
 """
 
 import argparse

@@ -246,7 +246,7 @@ class FitPipeline:
     def _with_range(self, net: residual.Net, water) -> residual_hooks.Residual:
         """Net with the range of its training data, and a note on how it swims."""
         rows = rows_of(self.chain, self.force_records)
-        reach = residual_hooks.fitted(*training_windows.features(self.chain, rows), 1e6)
+        reach = self._range(*training_windows.features(self.chain, rows))
         spread = training_windows.warm_up(
             self.chain, rows, unflat(water.tolist()), residual_hooks.Residual(net, reach), self.tick
         ).spread
@@ -255,6 +255,10 @@ class FitPipeline:
         before, after = self.score(water, None), self.score(water, learnt)
         self.notes.append(f"residual: validation swims {before:.4g} -> {after:.4g}")
         return learnt
+
+    def _range(self, xi: np.ndarray, speed: np.ndarray) -> residual_hooks.MotionRange:
+        """Range of the data, `xi` (M, N, 5) and `speed` (M, N) of `training_windows.features`; `_with_range` sets its spread."""
+        return residual_hooks.fitted(xi, speed, 1e6)
 
     def _retune(self, state) -> dict:
         learnt = learnt_of(state)

@@ -15,15 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.hydro_fit.fit import training_windows
 from fishmj.hydro_fit.fit.fit_pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.gauss_newton import factors_of
-from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import is_free
 from fishmj.hydro_fit.fit.rollout_training import BATCH, LENGTH
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water import residual_hooks, residual_network
+from fishmj.water import residual_hooks
 from fishmj.water.hydro_model import HydroModel
 from fishmj.water.prior import flat
 
@@ -73,14 +71,12 @@ class Refit(FitPipeline):
         self.notes.append("swims: not taken")
         return {}
 
-    def _with_range(self, net: residual_network.Net, water: np.ndarray) -> residual_hooks.Residual:
-        """Residual with the old range, widened as far as the new swims exceed it, and the disagreement of its own members."""
-        made, before = super()._with_range(net, water), self.model.learnt
-        if before is None or before.reach is None or made.reach is None:
-            return made
-        features = training_windows.features(self.chain, rows_of(self.chain, self.force_records))
-        reach = residual_hooks.widened(before.reach, *features)
-        return made._replace(reach=reach._replace(spread=made.reach.spread))
+    def _range(self, xi: np.ndarray, speed: np.ndarray) -> residual_hooks.MotionRange:
+        """The old range, widened as far as the new swims exceed it."""
+        before = self.model.learnt
+        if before is None or before.reach is None:
+            return super()._range(xi, speed)
+        return residual_hooks.widened(before.reach, xi, speed)
 
     def score(self, water: np.ndarray, learnt) -> float:
         """Mean over the parts of the validation error of the first fit."""
