@@ -2,16 +2,20 @@
 
     python -m studies.fitted_water.still_rounds solve POLICY --water W --seed 4300 --seconds 25 --out runs/one
     python -m studies.fitted_water.still_rounds refit --water W --data REFERENCE EARLIER --rounds runs/one --out runs/water-1
+    python -m studies.fitted_water.still_rounds drift --water W --rounds runs/one
 
-`solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (1,200 s of swims: 2.5 min on two cores). The solver's water is
-that of the fit: its box, boundary and slip ratio. It differs from `fishmj hydro_fit correct` in its streams: every second episode
-is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s. `--middle` adds the short segments from the fit's
-states half-way. `--most` is the limit of swims in a fit. *synthetic*
+`drift` swims pieces of 4 s in the fit from the solver's states, after the first 10 s, and prints by how much the velocity of
+the last second is off. `solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (1,200 s of swims: 2.5 min on two
+cores). The solver's water is that of the fit: its box, boundary and slip ratio. It differs from `fishmj hydro_fit correct` in
+its streams: every second episode is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s. `--middle` adds
+the short segments from the fit's states half-way. `--most` is the limit of swims in a fit. *synthetic*
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from fishmj.base import console
 from fishmj.hydro_fit.campaign.dagger import dagger
@@ -19,16 +23,20 @@ from fishmj.hydro_fit.campaign.data import plan as plans
 from fishmj.hydro_fit.campaign.data.collect import Local, collect
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
+from fishmj.hydro_fit.fit import rollout
 from fishmj.hydro_fit.segment_dataset import open_dataset
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run.solver_water import water_of_fit
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
+from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel
+from fishmj.water.prior import flat
 
 EPISODES = 24
 VALIDATE = (4, 11, 16, 23)  # two of either kind
 FASTEST = 0.05  # m/s
+SETTLED, SWIM = 10.0, 4.0  # s of an episode that `drift` leaves out; of a piece
 
 
 def episodes(robot: Robot, policy: str, seed: int, seconds: float, slip: float) -> list[Segment]:
@@ -66,22 +74,49 @@ def refit(given) -> int:
     return console.OK
 
 
+def drift(given) -> int:
+    """Swims 4 s in the fit from the solver's states; prints the mean and the root mean square of the error of the velocity."""
+    robot, model = load_robot("fish"), HydroModel.load(given.water)
+    data, chain = open_dataset(given.rounds), planar_chain.chain_of(robot)
+    records = [data[name] for name in sorted(data.about)]
+    tick = records[0].tick
+    first, size, last = (round(seconds / tick) for seconds in (SETTLED, SWIM, 1.0))
+    pieces = [(n, a, a + size) for n, r in enumerate(records) for a in range(first, len(r.q) - size, size)]
+    fleet = rollout.cut(chain, robot, records, pieces)
+    swum = rollout.SwimWindow(chain, planar_chain.nominal(robot)).run(fleet, flat(model.base), model.learnt)
+    mine, theirs = (body_velocity(track)[:, -last:].mean(1) for track in (swum, rollout.recorded(fleet)))
+    error = mine - theirs
+    rows = {"mean": error.mean(0), "rms": np.sqrt((error**2).mean(0))}
+    columns = ("surge [m/s]", "sway [m/s]", "yaw_rate [rad/s]")
+    console.say(console.table([{"error": key, **dict(zip(columns, row, strict=True))} for key, row in rows.items()]))
+    return console.OK
+
+
+def body_velocity(track: rollout.SwimTrack) -> np.ndarray:
+    """Velocity (B, T, 3) of the head in its own frame: m/s forward, m/s to the left, rad/s."""
+    cos, sin = np.cos(track.q[..., 2]), np.sin(track.q[..., 2])
+    x, y, turn = (track.v[..., k] for k in range(3))
+    return np.stack([cos * x + sin * y, cos * y - sin * x, turn], -1)
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(required=True)
-    both = {function: verbs.add_parser(function.__name__, help=function.__doc__) for function in (solve, refit)}
+    both = {function: verbs.add_parser(function.__name__, help=function.__doc__) for function in (solve, refit, drift)}
     for function, verb in both.items():
         verb.set_defaults(run=function)
         verb.add_argument("--water", default="swift-reference", help="fitted water to begin with (default: swift-reference)")
-        verb.add_argument("--out", type=Path, required=True, help="data set, or folder of the water, to write")
+        if function is not drift:
+            verb.add_argument("--out", type=Path, required=True, help="data set, or folder of the water, to write")
     add = both[solve].add_argument
     add("policy", help="name or file")
     add("--seed", type=int, required=True, help="of the draws of the episodes")
     add("--seconds", type=float, default=30.0, help="of an episode (default: 30)")
     add("--middle", action="store_true", help="short segments from the fit's states, too")
     add("--device", default="cuda:all", help="of the solver (default: cuda:all)")
+    for function in (refit, drift):
+        both[function].add_argument("--rounds", type=Path, required=True, help="data set that `solve` wrote")
     add = both[refit].add_argument
-    add("--rounds", type=Path, required=True, help="data set that `solve` wrote")
     add("--data", type=Path, nargs="+", required=True, help="data sets of earlier fits")
     add("--most", type=float, default=dagger.SWIMS, help="s of swims in the fit (default: 1200)")
     given = parser.parse_args(argv)
