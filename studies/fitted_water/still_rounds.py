@@ -75,28 +75,23 @@ def refit(given) -> int:
 
 
 def drift(given) -> int:
-    """Swims 4 s in the fit from the solver's states; prints the mean and the root mean square of the error of the velocity."""
+    """Swims 4 s in the fit from the solver's states; prints mean and root mean square of the errors, m/s, rad/s."""
     robot, model = load_robot("fish"), HydroModel.load(given.water)
     data, chain = open_dataset(given.rounds), planar_chain.chain_of(robot)
     records = [data[name] for name in sorted(data.about)]
     tick = records[0].tick
-    first, size, last = (round(seconds / tick) for seconds in (SETTLED, SWIM, 1.0))
+    first, size = (round(seconds / tick) for seconds in (SETTLED, SWIM))
     pieces = [(n, a, a + size) for n, r in enumerate(records) for a in range(first, len(r.q) - size, size)]
     fleet = rollout.cut(chain, robot, records, pieces)
     swum = rollout.SwimWindow(chain, planar_chain.nominal(robot)).run(fleet, flat(model.base), model.learnt)
-    mine, theirs = (body_velocity(track)[:, -last:].mean(1) for track in (swum, rollout.recorded(fleet)))
-    error = mine - theirs
-    rows = {"mean": error.mean(0), "rms": np.sqrt((error**2).mean(0))}
-    columns = ("surge [m/s]", "sway [m/s]", "yaw_rate [rad/s]")
-    console.say(console.table([{"error": key, **dict(zip(columns, row, strict=True))} for key, row in rows.items()]))
+    mine, theirs = (rollout.windows(track, fleet, tick, 1.0) for track in (swum, rollout.recorded(fleet)))
+    errors = {key: (getattr(mine, key) - getattr(theirs, key))[:, -1] for key in ("surge", "sway", "yaw_rate")}
+    rows = [
+        {"error": "mean"} | {key: error.mean() for key, error in errors.items()},
+        {"error": "rms"} | {key: np.sqrt(np.mean(error**2)) for key, error in errors.items()},
+    ]
+    console.say(console.table(rows))
     return console.OK
-
-
-def body_velocity(track: rollout.SwimTrack) -> np.ndarray:
-    """Velocity (B, T, 3) of the head in its own frame: m/s forward, m/s to the left, rad/s."""
-    cos, sin = np.cos(track.q[..., 2]), np.sin(track.q[..., 2])
-    x, y, turn = (track.v[..., k] for k in range(3))
-    return np.stack([cos * x + sin * y, cos * y - sin * x, turn], -1)
 
 
 def main(argv: list[str] | None = None) -> int:
