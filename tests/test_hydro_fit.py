@@ -222,6 +222,15 @@ def test_training_records_validate_where_no_others_do(records, tmp_path):
         verb.fitted_parts(data, replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)), 1.0)
 
 
+def test_further_data_of_the_same_water_are_fitted_beside_the_first(records, tmp_path):
+    folder = hidden.write_dataset(tmp_path / "rounds", records["train"][:4])
+    grid = open_dataset(folder)[records["train"][0].id].meta["grid"]
+    train, val = verb.further_parts(folder, ROBOT, 1.0, grid)
+    assert [r.id for r in train] == sorted(r.id for r in records["train"][:4]) and not val
+    with pytest.raises(ConfigError, match="expected the same water"):
+        verb.further_parts(folder, ROBOT, 1.0, grid | {"boundary": "rims"})
+
+
 def test_a_better_model_is_never_overwritten(fitted, tmp_path):
     _, model, _ = fitted
     place, taken = verb.promote(model, tmp_path, score=1.0, standing=None)

@@ -110,6 +110,8 @@ def options(verb: str) -> console.Parser:
     add("--base", action="store_true", help="the strip model alone, without the learnt residual")
     add("--prior", action="store_true", help="check, report: the description's own coefficients, nothing fitted")
     if verb == "fit":
+        also = "further data sets in the same water, such as rounds of hydro_fit correct (OUT/solver); default none"
+        add("--also", type=console.path, nargs="+", default=[], metavar="FOLDER", help=also)
         add(
             "--residual",
             type=console.text,
@@ -181,6 +183,19 @@ def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[
     return train, val
 
 
+def further_parts(folder: Path, robot: Robot, slip: float, grid: dict) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
+    """Training and validation records of a data set that is fitted beside the first, whose `grid` it must have.
+
+    Raises ConfigError: as `records_of`, or solved in another box or boundary, which would be two waters in one fit.
+    """
+    data = open_dataset(folder)
+    train = records_of(data, robot, "train", slip)
+    mine, first = ({key: one.get(key, "") for key in ("domain", "boundary")} for one in (train[0].meta["grid"], grid))
+    if mine != first:
+        raise ConfigError(f"--also {folder}: solved in {mine}, the first data set in {first}; expected the same water")
+    return train, records_of(data, robot, "val", slip) if data.names("val", slip=slip) else []
+
+
 def _more(data: SegmentDataset) -> str:
     """Hint on how to enlarge a data set that is too small."""
     if missing := data.meta.get("missing", 0):
@@ -245,6 +260,10 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": solved.get("domain", "")}
     if "boundary" in solved:  # as in segments: not for the plain one
         about["boundary"] = solved["boundary"]
+    for place in getattr(args, "also", []):
+        more = further_parts(place, robot, slip, solved)
+        train, val = train + more[0], val + more[1]
+        about["also"] = about.get("also", []) + [open_dataset(place).sha256]
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:
 

@@ -127,7 +127,7 @@ def calibrated(model: HydroModel, robot: Robot, records: Sequence[SegmentRecord]
     swims = [r for r in records if is_free(r)]
     if len(swims) < FEWEST:
         raise DatasetError(f"calibrate: {len(swims)} free swims; expected {FEWEST} or more: collect --fresh-test SEED --scale 5")
-    if about.get("sha256") == model.dataset.get("sha256"):
+    if about.get("sha256") in [model.dataset.get("sha256"), *model.dataset.get("also", [])]:
         raise DatasetError(f"calibrate: {about.get('folder')} is what {model.name!r} was fitted to; collect --fresh-test SEED")
     made = _scaled(model, robot, swims)
     alone = made if model.learnt is None else _scaled(model.base_only, robot, swims)
