@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from fishmj import engines
-from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
 from fishmj.tasks.station_hold import draw_fish, n_fish
 from fishmj.water import choice
-from fishmj.water.choice import chosen, family_in, in_water, label, residuals_of
+from fishmj.water.choice import chosen, family_in, fitted_water, in_water, label, residuals_of
 from fishmj.water.flow import Flow
+from fishmj.water.hydro_model import HydroModel
 
 FISH = load_robot("fish")
 
@@ -41,6 +42,29 @@ def test_a_fitted_water_belongs_to_the_body_not_to_its_servos():
         chosen(longer(FISH), "swift")
     with pytest.raises(ConfigError, match=r"dt = 0.004 s, the robot steps 0.002 s"):
         chosen(replace(FISH, timing=replace(FISH.timing, physics_dt=0.002)), "fitted")
+
+
+def test_default_water_refuses_another_time_step_and_a_damaged_file(tmp_path, monkeypatch):
+    with pytest.raises(ConfigError, match=r"dt = 0.004 s, the robot steps 0.002 s; take .*--water structured"):
+        chosen(replace(FISH, timing=replace(FISH.timing, physics_dt=0.002)))
+    assert chosen(replace(FISH, timing=replace(FISH.timing, physics_dt=0.002)), "structured").kind == "structured"
+    model = fitted_water("swift")
+    weights = model.save(tmp_path).with_suffix(".safetensors")
+    weights.write_bytes(weights.read_bytes()[:-4] + b"0000")
+    monkeypatch.setattr(choice, "fitted_water", lambda name: HydroModel.load(tmp_path / "swift.toml"))
+    with pytest.raises(StoreError, match="expected sha256 .*; without it: --water structured"):
+        chosen(FISH)
+
+
+def test_stated_coefficients_without_effect_are_told_or_refused(monkeypatch, capsys):
+    monkeypatch.setattr(choice, "_TOLD", set())
+    stated = lambda **values: replace(FISH, water={**FISH.water, **values})
+    chosen(stated(residual=0.5)), chosen(load_robot("tendon_fish")), chosen(stated(cf=0.2), "structured")
+    assert not capsys.readouterr().err
+    assert label(chosen(chosen(stated(cf=0.2, linear_drag=1.0)).robot).robot) == "swift"
+    assert capsys.readouterr().err.count("[water] cf, linear_drag: not used in the fitted water 'swift'; --water structured") == 1
+    with pytest.raises(ConfigError, match="residual = 0.5 of robot 'swift', but every fish draws its share between 0.5 and 1.25"):
+        chosen(stated(residual=0.5), "family")
 
 
 def test_what_a_description_states_is_its_default():

@@ -14,7 +14,7 @@ import numpy as np
 from fishmj import engines
 from fishmj.base import console, store
 from fishmj.base.compile_cache import cache_folder
-from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.errors import ConfigError, FishmjError, StoreError
 from fishmj.base.source import package_sha256
 from fishmj.control import gains_of
 from fishmj.control.cpg import Cpg, Rates
@@ -63,7 +63,12 @@ def surrogate(robot: Robot) -> Robot:
     """The robot in a water that every engine swims: in place of the flow solver its fitted water, or the strips."""
     if choice.label(robot) not in choice.SOLVED:
         return robot
-    return choice.in_water(robot, choice.FITTED if choice.fitted_for(robot) else choice.STRUCTURED)
+    try:
+        fitted = choice.fitted_for(robot)
+    except FishmjError as error:
+        console.warn(f"gaits are measured in the strips of the description: {error}")
+        fitted = None
+    return choice.in_water(robot, choice.FITTED if fitted else choice.STRUCTURED)
 
 
 def cached(what: str, robot: Robot, make: Callable[[], Mapping], asked=None) -> dict[str, np.ndarray]:

@@ -21,9 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fishmj.base import calib, console
-from fishmj.base.errors import ConfigError, FishmjError, UnknownName
+from fishmj.base.errors import ConfigError, FishmjError, StoreError, UnknownName
 from fishmj.base.names import split_member
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.priors import water_prior
 from fishmj.water.dynamics import strip_forces
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ FAMILY = "family"  # the family of the robot's name
 FAMILY_SCHEMA = "fishmj.water-family/1"
 OWN = "own"  # in `robot.water`: the table of the description
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
+NO_FORCE = ("model", "stations", "residual")  # keys of `[water]` that a fitted water does not replace
+KE = 0.5  # ke of the shipped descriptions, beside the shape's
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
 SOLVED = (HYBRID, LBM)  # those that need it
 HELP = (
@@ -80,7 +83,8 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     """Water that the option selects; None: the one that the description states, else the fitted water if this body has one.
 
     Raises:
-        UnknownName, StoreError: no such water. ConfigError: none is fitted for this body, or one for another body or time step.
+        UnknownName, StoreError: no such water, or a damaged one. ConfigError: none is fitted for this body, or one for another
+        body or time step.
     """
     name, described = canonical(water), robot.water.get(OWN, robot.water)
     stated = canonical(robot.water.get("model"))
@@ -174,24 +178,40 @@ def label(robot: Robot) -> str:
 
 
 def fitted_for(robot: Robot) -> str | None:
-    """Name of the fitted water for this body, or None if there is none."""
+    """Name of the fitted water for this body, or None if there is none.
+
+    Raises StoreError, ConfigError: there is one that is damaged, or that was fitted at another time step.
+    """
     if robot.name not in calib.waters():
         return None
     try:
-        fitted_water(robot.name).swimmer(robot)
-    except FishmjError:
+        model = fitted_water(robot.name)
+    except FishmjError as error:
+        raise StoreError(f"{error}; without it: --water structured") from error
+    if not model.fits_body(robot):
         return None
+    model.swimmer(robot)
     return robot.name
 
 
 def _fitted(robot: Robot, name: str) -> WaterChoice:
-    name = _own(robot, name)
-    model = fitted_water(name)
+    name, described = _own(robot, name), robot.water.get(OWN, robot.water)
+    model, family = fitted_water(name), family_of(name)
     coefficients = model.swimmer(robot).water._asdict()
-    if (share := robot.water.get(OWN, robot.water).get("residual")) is not None:
+    if (share := described.get("residual")) is not None:
+        if family is not None:
+            raise ConfigError(
+                f"water {name!r}: [water] residual = {share} of robot {robot.name!r}, but every fish draws its share between"
+                f" {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave residual out, or name one fitted water"
+            )
         coefficients["residual"] = share
-    made = _with(robot, coefficients, name)
-    if (family := family_of(name)) is not None:
+    made, prior = _with(robot, coefficients, name), water_prior(robot.links)
+    guessed = {key: (value, KE if key == "ke" else value) for key, value in prior.items()}
+    own = [key for key, value in described.items() if key not in NO_FORCE and value not in guessed.get(key, ())]
+    if own and (about := f"robot {robot.name!r}: [water] {', '.join(own)}") not in _TOLD:
+        _TOLD.add(about)
+        console.warn(f"{about}: not used in the fitted water {name!r}; --water structured uses them")
+    if family is not None:
         fits = ", ".join(dict.fromkeys(f"{one.name} {one.slip:g}" for one in family.members))
         return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between fits at slip {fits}")
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"

@@ -190,18 +190,25 @@ class HydroModel:
         rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
         return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
 
+    def fits_body(self, robot: Robot) -> bool:
+        """True for a robot of the body of the fit."""
+        return robot_hash(robot) == self.robot_sha256 or body_sha256(robot) == self.body_sha256
+
     def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
         """Nominal robot in this water. The water belongs to the body: it is the same with another servo, mass or timing.
 
         Raises ConfigError: the model was fitted for another body or another time step.
         """
-        if robot_hash(robot) != self.robot_sha256 and body_sha256(robot) != self.body_sha256:
+        if not self.fits_body(robot):
             raise ConfigError(
                 f"water {self.name!r} was fitted for robot {self.robot!r} {(self.body_sha256 or self.robot_sha256)[:12]}, got"
                 f" {robot.name!r} {body_sha256(robot)[:12]}: another body; fit it: python -m fishmj.hydro_fit --fish FILE"
             )
         if abs(robot.timing.physics_dt - self.dt) > 1e-9:
-            raise ConfigError(f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s")
+            raise ConfigError(
+                f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s; take physics_dt ="
+                f" {self.dt}, --water structured, or fit it: python -m fishmj.hydro_fit --fish FILE"
+            )
         return planar_chain.nominal(robot)._replace(water=self.base)
 
     def remark(self, robot: Robot) -> str:
