@@ -94,6 +94,8 @@ COMMANDS: dict[str, list[str]] = {
     "train_resume_and_force": ["train", "--resume", "--force", "--out", "runs/none"],
     "train_out_in_proc": ["train", "--out", "/proc/x/run"],
     "train_robot_is_another_toml": ["train", "--robot", "measurements.toml"],
+    "train_reward_that_likes_to_be_far": ["train", "--reward", "wD=-1"],
+    "train_episode_of_five_steps_and_a_half": ["train", "--episode-seconds", "1.1"],
     # evaluate
     "evaluate_same_twice": ["evaluate", "dob", "dob"],
     "evaluate_policy_is_a_text": ["evaluate", "policy.safetensors"],
@@ -105,6 +107,7 @@ COMMANDS: dict[str, list[str]] = {
     "evaluate_out_empty": ["evaluate", "dob", "--out="],
     "evaluate_out_in_proc": ["evaluate", "dob", "--out", "/proc/x"],
     "evaluate_water_is_a_fish": ["evaluate", "dob", "--water", "carp.toml"],
+    "evaluate_half_a_step": ["evaluate", "dob", "--duration", "10.1", "--speeds", "0.2", "--repeats", "1"],
     "evaluate_domain_without_the_solver": ["evaluate", "dob", "--domain", "laptop", "--speeds", "0.2", "--repeats", "1"],
     # replay, play
     "replay_a_data_set": ["replay", "data"],

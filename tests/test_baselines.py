@@ -190,6 +190,27 @@ def test_a_file_of_gains_steers_and_names_its_mistakes(tmp_path):
         control.make(f"{file}:pi", ROBOT)
 
 
+@pytest.mark.parametrize(
+    ("gain", "value", "expected"),
+    [
+        ("heading", float("nan"), "a number from 0 to 50 1/s"), ("observer_time", 0.0, "a number above 0 to 1000 s"),
+        ("frequency", [-1.0, 2.0], "a number above 0 to 50 1/s"), ("amplitude_deg", [5.0, 1e6], "a number above 0 to 1500 deg"),
+    ],
+)  # fmt: skip
+def test_gains_out_of_range_are_refused(gain, value, expected):
+    with pytest.raises(ConfigError, match=f"gain {gain} of dob: got .*, expected {expected}$"):
+        control.gains_of("dob", {gain: value})
+    with pytest.raises(ConfigError, match="gain samples of mpc: got 2.5, expected a whole number from 2 to 10000$"):
+        control.gains_of("mpc", {"samples": 2.5})
+
+
+def test_every_shipped_gain_may_be_searched_by_the_tuner():
+    for name in control.tuned_names():
+        search = tune_gains.GainSearch.of(name, None)
+        for factor in (-1, 1):
+            control.gains_of(name, search.gains(search.point() + factor * np.log(tune_gains.REACH)))
+
+
 def test_the_tuner_writes_gains_that_are_read(bowl, tmp_path, capsys):
     file = tmp_path / "gains.toml"
     assert tune_gains.main(["pnl", "--budget", "16", "--water", "structured", "--out", str(file)]) == console.OK

@@ -284,3 +284,20 @@ def test_five_pairs_have_an_interval_and_six_can_be_told_apart():
 def test_results_of_other_trials_cannot_be_compared():
     with pytest.raises(ConfigError, match="different trials"):
         metrics.compare(hand_made(still(0.5)), hand_made(still(0.5), seed=1))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"duration": -5.0}, {"repeats": 0}, {"repeats": 1.5}, {"speeds": [np.nan]}, {"los_deg": [np.nan]}, {"intensity": -0.1},
+        {"noise": np.nan}, {"randomisation": -1}, {"direction": np.nan}, {"seed": 1.5},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_trials_refuse_numbers_out_of_range(wrong):
+    (name,) = wrong
+    with pytest.raises(ConfigError, match=f"trials: {name} = .*; expected a"):
+        evaluate.trials(**wrong)
+    if hasattr(some := evaluate.trials(repeats=1), name) and name != "speeds":
+        with pytest.raises(ConfigError, match=f"trials: {name} = "):
+            replace(some, **wrong)

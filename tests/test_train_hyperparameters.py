@@ -182,7 +182,7 @@ def test_stated_range_of_the_task_changes_no_draw():
     [
         ("--flow-speeds 0.3,0.1", "flow_speed = (0.3, 0.1); expected a number from 0 to 5, or two bounds of a draw, (low, high)"),
         ("--control-dt 0.15", "control_dt = 0.15 s is not a multiple of bus_dt = 0.02 s; nearest valid control_dt: 0.16 s"),
-        ("--episode-seconds 0.1", "seconds = 0.1 is less than one control step of 0.2 s"),
+        ("--episode-seconds 0.1", "seconds = 0.1 s; expected a multiple of the control step of 0.2 s"),
     ],
 )
 def test_run_that_cannot_be_is_refused_before_it_starts(line, said, tmp_path, capsys):

@@ -26,6 +26,7 @@ import numpy as np
 from fishmj.base import console, plugins
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import Number
 from fishmj.control.policy import SHIPPED, is_policy
 from fishmj.control.policy import shipped as shipped_policies
 from fishmj.mjcf.description import Robot
@@ -75,6 +76,11 @@ CONTROLLERS = {
 }
 NAMES = tuple(CONTROLLERS)
 GAINS = "controllers.toml"  # in data/calib
+MOST = {"1/s": 50, "deg": 1500, "m/s": 20, "s": 1000, "m": 100, "rad/s": 200}  # largest gain by its unit, else 1e4
+DIVISORS = (
+    "frequency", "amplitude_deg", "turn_error_deg", "speed_floor", "observer_time", "wc", "wo", "b0", "distance_wc",
+    "distance_wo", "distance_b0", "horizon", "temperature", "weight_drive", "weight_turn", "forget",
+)  # fmt: skip  # gains above 0
 
 
 class _FormerOption(argparse.Action):
@@ -206,7 +212,7 @@ def gains_of(section: str, changes: dict | None = None, file: "Path | None" = No
     Args:
         file: of `fishmj tune`, whose gains replace the shipped ones.
     Raises:
-        UnknownName: a gain that does not exist. ConfigError: the file has no such section, or a gain of another form.
+        UnknownName: a gain that does not exist. ConfigError: the file has no such section, or a gain of another form or range.
     """
     values = {key: entry["value"] for key, entry in shipped_gains()[section].items()}
     if file is not None:
@@ -220,6 +226,10 @@ def gains_of(section: str, changes: dict | None = None, file: "Path | None" = No
             raise UnknownName(f"gain of {section}", key, values)
         if np.shape(value) != np.shape(values[key]) or not np.issubdtype(np.asarray(value).dtype, np.number):
             raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected the form of {values[key]!r}")
+        kind, unit = type(values[key]) is int, shipped_gains()[section][key]["unit"]
+        within = Number(2 if kind else 0, MOST.get(unit, 1e4), above=key in DIVISORS, whole=kind)
+        if not all(within.holds(part) for part in np.ravel(value).tolist()):
+            raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected {within.expected} {unit}".removesuffix(" 1"))
     return {**values, **(changes or {})}
 
 

@@ -36,6 +36,7 @@ from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option, reference_option
 from fishmj.mjcf.description import COMMAND_PATHS
 from fishmj.mjcf.reading import load_robot, with_timing
+from fishmj.tasks.station_hold import whole_steps
 from fishmj.water import choice
 from fishmj.water.flow import PRESETS
 
@@ -147,6 +148,8 @@ def main(argv: list[str]) -> int:
     if water.kind == choice.LBM:
         tank_effects.check_effects(robot)
     robot = with_timing(robot, args.control_dt, args.command_path, "evaluate --control-dt")
+    if args.duration is not None:
+        whole_steps("evaluate: --duration", args.duration, robot)
     trials = protocol.trials(
         speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds,
         turbulence=args.turbulence or "default", intensity=args.intensity, heading=args.heading,

@@ -19,6 +19,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.options import checked
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import COURSES, EpisodeStart
@@ -26,6 +27,7 @@ from fishmj.water import flow as background
 from fishmj.water.flow import Current, Flow
 
 HEADINGS = ("upstream", "uniform")
+LIMITS = {"duration": (1, 600), "intensity": (0, 1), "randomisation": (0, 10), "noise": (0, 100), "direction": ()}  # of `Trials`
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
 HOLD, EIGHT, ANGLE = TASKS = ("station_hold", "figure_eight", "angle_of_attack")
 
@@ -59,6 +61,12 @@ class Trials:
     task: str = HOLD
     steady: ClassVar[bool] = True  # the mean stream does not change within a trial
     drawn_as: ClassVar[str] = ""  # of a subclass whose draws are not those of the items' seeds
+
+    def __post_init__(self):
+        for key, bounds in LIMITS.items():
+            checked(f"trials: {key}", getattr(self, key), *bounds)
+        for one in self.items:
+            checked("trials: speed", one.speed, 0, 1), checked("trials: los", one.los)
 
     def __len__(self) -> int:
         return len(self.items)
@@ -233,16 +241,14 @@ def trials(
         ANGLE: lambda: ((of_paper("aoa_speed"),), of_paper("aoa_deg"), course_of_trial(ANGLE).seconds),
     }[task]()
     speeds, los_deg, duration = (b if a is None else a for a, b in zip((speeds, los_deg, duration), standard, strict=True))
-    speeds, los_deg = tuple(speeds), tuple(los_deg)
+    speeds, los_deg = (tuple(value) if np.iterable(value) else (value,) for value in (speeds, los_deg))
     repeats = get("repeats") if repeats is None else repeats
-    if not speeds or not los_deg or repeats < 1:
-        raise ConfigError(f"trials: {len(speeds)} speeds x {len(los_deg)} directions x {repeats} repeats is nothing to judge")
-    if not all(0 <= u <= 1 for u in speeds):
-        raise ConfigError(f"trials: speeds = {list(speeds)} m/s; expected 0 to 1 m/s, usually 0.1, 0.2, 0.3")
-    if seed < 0:
-        raise ConfigError(f"trials: seed = {seed}; expected 0 or more")
-    if not 1 <= duration <= 600:
-        raise ConfigError(f"trials: duration = {duration} s; expected 1 to 600 s, usually 60")
+    if not speeds or not los_deg:
+        raise ConfigError(f"trials: {len(speeds)} speeds x {len(los_deg)} directions is nothing to judge; expected one of each")
+    for name, values, bounds in (("speeds", speeds, (0, 1)), ("los_deg", los_deg, ())):
+        for value in values:
+            checked(f"trials: {name}", value, *bounds)
+    repeats, seed = checked("trials: repeats", repeats, 1, whole=True), checked("trials: seed", seed, 0, whole=True)
     key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))
     items = tuple(
         TrialSpec(float(u), float(np.radians(b)), r, (*key(u, b), r)) for u, b, r in product(speeds, los_deg, range(repeats))

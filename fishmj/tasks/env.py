@@ -110,7 +110,7 @@ class StationHold:
         for name, weight in reward.items():
             if name in {one.name for one in fields(Options)}:
                 raise ConfigError(f"task: {name} is an option: StationHold(.., options=Options({name}=..))")
-            checked(f"task: {checked_name('argument of StationHold', name, (*ARGUMENTS, *task.WEIGHTS))}", weight)
+            checked(f"task: {checked_name('argument of StationHold', name, (*ARGUMENTS, *task.WEIGHTS))}", weight, 0)
         robot = with_timing(load_robot(robot), control_dt, command_path, "task")
         if engine is None:
             engine = engines.fastest() if jax.default_backend() == "cpu" else "planar"
@@ -148,7 +148,7 @@ class StationHold:
             raise ConfigError(
                 f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out"
             )
-        self.limit = task.episode_steps(self.course.seconds if options.seconds is None else options.seconds, robot)
+        self.limit = task.episode_steps(options.seconds, self.course, robot)
         self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
 
     @property

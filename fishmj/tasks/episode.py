@@ -213,7 +213,7 @@ class TaskOptions(DrawOptions):
         bounds = {"control_dt": (0, LARGEST["seconds"]), "flow_direction": ()}
         for name in (*bounds, *task.WEIGHTS):
             if getattr(self, name) is not None:
-                checked(f"task: {name}", getattr(self, name), *bounds.get(name, ()))
+                checked(f"task: {name}", getattr(self, name), *bounds.get(name, (0,)))
 
     def fish(self) -> Robot:
         """The robot with this setting's timing."""
@@ -272,7 +272,7 @@ class TaskSpec:
             raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
         self.dt = self.robot.timing.control_dt
-        self.limit = task.episode_steps(self.course.seconds if setting.seconds is None else setting.seconds, self.robot)
+        self.limit = task.episode_steps(setting.seconds, self.course, self.robot)
         self.table, self.cell = flow.table_of(setting.turbulence, flow.BOXES[setting.box])
         self.sensors = Sensors(self.robot)
         self.n_obs, self.n_act = 5 + 2 * self.robot.n_joints, self.robot.n_joints

@@ -248,11 +248,22 @@ def chunk(xp, robot: Robot, previous, action):
     return previous[:, None] + share * (goal - previous)[:, None]
 
 
-def episode_steps(seconds: float, robot: Robot) -> int:
-    """Number of control steps of an episode. Raises ConfigError if it is shorter than one."""
-    if seconds < robot.timing.control_dt - 1e-9:
-        raise ConfigError(f"task: seconds = {seconds:g} is less than one control step of {robot.timing.control_dt:g} s")
-    return control_steps(seconds, robot)
+def episode_steps(stated: float | None, course, robot: Robot) -> int:
+    """Number of control steps of an episode of the stated seconds; None: those that cover the seconds of its course.
+
+    Raises ConfigError: the stated seconds are no multiple of a control step.
+    """
+    if stated is not None:
+        whole_steps("task: seconds", stated, robot)
+    return control_steps(course.seconds if stated is None else stated, robot)
+
+
+def whole_steps(where: str, seconds: float, robot: Robot) -> None:
+    """Raises ConfigError if a stated time is no multiple of the robot's control step; begins with `where`."""
+    dt = robot.timing.control_dt
+    if (steps := round(seconds / dt)) < 1 or abs(steps * dt - seconds) > 1e-6 * seconds:
+        near = " or ".join(f"{k * dt:g}" for k in dict.fromkeys((max(1, int(seconds / dt)), int(seconds / dt) + 1)))
+        raise ConfigError(f"{where} = {seconds:g} s; expected a multiple of the control step of {dt:g} s, such as {near}")
 
 
 def control_steps(seconds: float, robot: Robot) -> int:

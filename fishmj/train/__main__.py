@@ -161,14 +161,14 @@ def task_speeds() -> str:
 def weight(text: str) -> tuple[str, float]:
     """Parses a weight: `wG=0.5` -> ("wG", 0.5).
 
-    Raises ArgumentTypeError for an unknown weight, or a number that is not finite.
+    Raises ArgumentTypeError for an unknown weight, or a number that is negative or not finite.
     """
     from fishmj.train.settings import REWARD
 
     key, equals, value = text.partition("=")
     if not equals:
         raise argparse.ArgumentTypeError(f"{text[:40]!r}: expected {'=, '.join(REWARD)}= and a number")
-    return console.OneOf(REWARD)(key), console.number(-1e6, 1e6)(value)
+    return console.OneOf(REWARD)(key), console.number(0, 1e6)(value)
 
 
 def settings_from(args, run=None):

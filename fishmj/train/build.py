@@ -67,12 +67,11 @@ def settled(settings: Settings) -> Settings:
     course = course_of(task["course"])
     if task["course"] in COURSES:
         ends = course.launch(np, np.array([[0.0] * N_START, [1.0] * N_START])).start.speed  # the speed is a draw between these
-        task["flow_speed"] = task["flow_speed"] or tuple(map(float, ends))
-        task["seconds"] = task["seconds"] or float(course.seconds)
+        task["flow_speed"] = tuple(map(float, ends)) if task["flow_speed"] is None else task["flow_speed"]
     reward = {} if getattr(course, "reward", None) else {key: constant("reward", key) for key in REWARD}
     robot = robot_for(settings)
-    if task["seconds"]:
-        episode_steps(task["seconds"], robot)
+    if task["seconds"] is not None or task["course"] in COURSES:
+        task["seconds"] = round(episode_steps(task["seconds"], course, robot) * robot.timing.control_dt, 9)
     algorithm = _written(config_of(settings))
     return change(
         replace(settings, water=water),

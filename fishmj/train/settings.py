@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.options import declared, option_of
+from fishmj.base.options import checked, checked_name, declared, option_of
 from fishmj.base.store import read_json
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
@@ -160,9 +160,8 @@ def change(settings: Settings, **changes) -> Settings:
     made = replace(settings, **merged, **changes)
     if made.algo not in ALGORITHMS and made.algo not in plugins.loaded("algorithm"):
         raise UnknownName("algorithm", made.algo, ALGORITHMS)
-    for key in made.reward:
-        if key not in REWARD:
-            raise UnknownName("reward weight", key, REWARD)
+    for key, weight in made.reward.items():
+        checked(f"reward weight {checked_name('reward weight', key, REWARD)}", weight, 0)
     if made.steps <= 0 or made.seed < 0:
         raise ConfigError(f"steps = {made.steps} and seed = {made.seed}: steps must be positive, the seed not negative")
     if made.assess_every <= 0 or made.assess_episodes <= 0:

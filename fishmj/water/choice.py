@@ -202,7 +202,7 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
         if family is not None:
             raise ConfigError(
                 f"water {name!r}: [water] residual = {share} of robot {robot.name!r}, but every fish draws its share between"
-                f" {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave residual out, or name one fitted water"
+                f" {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave it out, or name one fitted water"
             )
         coefficients["residual"] = share
     made, prior = _with(robot, coefficients, name), water_prior(robot.links)

@@ -75,7 +75,7 @@ def learning_curve(folder: Path, points: int = 100) -> dict[str, list[float]]:
 def returns(result: Result) -> np.ndarray:
     """Sum of the paper's reward over an episode (n,); a trial that leaves the domain gets no more."""
     ticks = round(result.robot.timing.control_dt / result.robot.timing.bus_dt)
-    steps = min(task.episode_steps(30.0, result.robot), (len(result.t) - 1) // ticks)
+    steps = min(task.control_steps(30.0, result.robot), (len(result.t) - 1) // ticks)
     total = np.zeros(len(result.trials))
     for k in range(steps):
         rates = result.rate[:, k * ticks + 1 : (k + 1) * ticks + 1]
