@@ -96,7 +96,12 @@ COMMANDS: dict[str, list[str]] = {
     "train_robot_is_another_toml": ["train", "--robot", "measurements.toml"],
     "train_reward_that_likes_to_be_far": ["train", "--reward", "wD=-1"],
     "train_episode_of_five_steps_and_a_half": ["train", "--episode-seconds", "1.1"],
-    # evaluate
+    "train_rounds_of_nothing": ["train", "--rounds", "3"],
+    "train_eddies_of_no_turbulence": ["train", "--turbulence", "none", "--intensity", "0.1"],
+    # tune, evaluate
+    "tune_same_twice": ["tune", "dob", "dob"],
+    "evaluate_eddies_of_no_turbulence": ["evaluate", "dob", "--turbulence", "none", "--intensity", "0.1"],
+    "evaluate_engine_beside_the_solver": ["evaluate", "dob", "--water", "lbm", "--engine", "planar"],
     "evaluate_same_twice": ["evaluate", "dob", "dob"],
     "evaluate_policy_is_a_text": ["evaluate", "policy.safetensors"],
     "evaluate_policy_missing": ["evaluate", "runs/quick-ppo-0/best.safetensors"],
@@ -117,6 +122,8 @@ COMMANDS: dict[str, list[str]] = {
     "play_controller_without_its_option": ["play", "dob"],
     "play_speed_inf": ["play", "--speed", "inf"],
     "play_save_is_there": ["play", "--save", "trial", "--headless-seconds", "1"],
+    "play_box_without_the_solver": ["play", "--domain", "laptop", "--headless-seconds", "1"],
+    "play_eddies_of_no_turbulence": ["play", "--turbulence", "none", "--intensity", "0.1", "--headless-seconds", "1"],
     # log
     "log_import_without_out": ["log", "import", "lab.csv"],
     "log_import_both_ways": ["log", "import", "lab.csv", "--out", "new", "--one-trial", "--trial-each"],
@@ -128,6 +135,7 @@ COMMANDS: dict[str, list[str]] = {
     "calibrate_ratios_without_recompute": ["calibrate", "slip", "--ratios", "0,0.9", "--report", "rep"],
     "calibrate_out_is_another_toml": ["calibrate", "mass", "--out", "measurements.toml", "--report", "rep"],
     "calibrate_robots_huge": ["calibrate", "check", "--robots", "1e30"],
+    "calibrate_slip_on_a_gpu_without_the_solver": ["calibrate", "slip", "--device", "cuda", "--report", "rep"],
     # gap, effects
     "gap_without_a_command": ["gap"],
     "gap_find_in_a_trial": ["gap", "find", "trial", "--out", "report"],
@@ -141,6 +149,8 @@ COMMANDS: dict[str, list[str]] = {
     "effects_hyphen": ["effects", "command-latency"],
     # hydro_fit, lbm_oracle
     "hydro_fit_seeds_dotted": ["hydro_fit", "ablation", "--seeds", "0..3", "--out", "fits"],
+    "hydro_fit_check_of_a_model_and_of_none": ["hydro_fit", "check", "--model", "swift", "--prior"],
+    "hydro_fit_name_of_nothing": ["hydro_fit", "check", "--name", "mine"],
     "hydro_fit_rank_the_same": ["hydro_fit", "rank", "pd", "pd", "--out", "ranks"],
     "lbm_oracle_case_typo": ["lbm_oracle", "cases", "poiseuile"],
     "lbm_oracle_two_of_three_joints": ["lbm_oracle", "swim", "--preset", "laptop", "--amplitude", "30", "20"],

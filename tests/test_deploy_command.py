@@ -52,6 +52,13 @@ BAD = {
     "--link serial:/dev/none --camera shm:none --calibration nowhere.toml": "nowhere.toml",
     "--link udp://127.0.0.1:9 --camera loopback": "only with --link loopback",
     "--loopback '": "No closing quotation",
+    "--servo-ids 4,5,6": "--servo-ids has an effect with --link serial:DEVICE or --protocol servo-bus only",
+    "--link udp://127.0.0.1:9 --baud 115200": "--baud has an effect with --link serial:DEVICE",
+    "--link serial:/dev/none --protocol mish-fixed": "--protocol has an effect with --link udp://HOST or loopback only",
+    "--link udp://127.0.0.1:9 --loopback=--seed": "--loopback has an effect with --link loopback only",
+    "--link udp://127.0.0.1:9 --tracker colour --tag-size 0.1": "--tag-size has an effect with --tracker tag only",
+    "--link udp://127.0.0.1:9 --paint-height 0": "--paint-height has an effect with --tracker colour only",
+    "--tag-number 3": "--tag-number has an effect with a camera other than the loopback's",
 }
 
 

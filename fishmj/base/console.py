@@ -35,6 +35,7 @@ from fishmj.base.options import number as number
 from fishmj.base.options import out_file as out_file
 from fishmj.base.options import out_folder as out_folder
 from fishmj.base.options import path as path
+from fishmj.base.options import refuse_unheeded as refuse_unheeded
 from fishmj.base.options import settings_of as settings_of
 from fishmj.base.options import text as text
 from fishmj.base.options import whole as whole

@@ -240,6 +240,19 @@ class Distinct(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
+def refuse_unheeded(where: str, args: argparse.Namespace, parser: argparse.ArgumentParser, needs: dict) -> None:
+    """Refuses options that have no effect beside the others.
+
+    Args:
+        needs: what heeds them, in words -> (True where that is chosen, the options without their dashes).
+    Raises ConfigError: one is stated that nothing heeds.
+    """
+    for what, (chosen, names) in needs.items():
+        stated = [name for name in names if getattr(args, key := name.replace("-", "_")) != parser.get_default(key)]
+        if stated and not chosen:
+            raise ConfigError(f"{where}: --{stated[0]} has an effect with {what} only; leave it out, or take {what}")
+
+
 def text(text: str) -> str:
     """The `type=` of an option that takes a name, or a file whose name may begin with ~."""
     if not text.strip():

@@ -133,6 +133,8 @@ def main(argv: list[str]) -> int:
         if args.water not in waters and (unused := [o for o in given if o in some]):
             words = " or ".join(f"--water {name}" for name in waters)
             raise ConfigError(f"evaluate: {', '.join(unused)}: of {words} only; leave it out, or add it")
+    if args.water == choice.LBM and args.engine != "batch":
+        raise ConfigError(f"evaluate: --engine {args.engine} with --water lbm, which is an engine itself; leave one of them out")
     joined = own_effects.join(args.effects)
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")

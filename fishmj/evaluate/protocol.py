@@ -235,6 +235,8 @@ def trials(
         raise ConfigError(
             f"trials: directions {list(los_deg)} with the task {task}, whose fish starts on its path; leave them out"
         )
+    if turbulence == "none" and intensity:
+        raise ConfigError(f"trials: intensity = {intensity} with turbulence none, which has no eddies; leave one of them out")
     standard = {
         HOLD: lambda: (get("speeds"), get("bearings_deg"), get("duration")),
         EIGHT: lambda: (of_paper("figure8_flows"), (0.0,), ceil(course_of_trial(EIGHT).seconds)),

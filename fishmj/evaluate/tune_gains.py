@@ -151,7 +151,7 @@ def options() -> console.Parser:
     parser = console.parser("tune", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     names = f"{', '.join(tuned_names())}; all: every one"
-    add("controllers", nargs="+", choices=(*tuned_names(), "all"), metavar="CONTROLLER", help=names)
+    add("controllers", nargs="+", action=console.Distinct, choices=(*tuned_names(), "all"), metavar="CONTROLLER", help=names)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--water", type=console.text, help=choice.HELP)
     add("--budget", type=console.whole(GENERATION, 10**6), default=240, metavar="N", help="candidates for each controller")
@@ -167,7 +167,7 @@ def main(argv: list[str]) -> int:
     if args.out.suffix != ".toml":
         raise ConfigError(f"tune --out {args.out}: expected a file .toml")
     water = choice.chosen(load_robot(args.robot), args.water).within(choice.SELF_MADE, "tune")
-    robot, names = water.robot, tuned_names() if "all" in args.controllers else tuple(dict.fromkeys(args.controllers))
+    robot, names = water.robot, tuned_names() if "all" in args.controllers else tuple(args.controllers)
     console.say(f"water: {water.said}", f"{len(names)} controllers, {args.budget} candidates of 24 trials each")
     text = args.out.read_text(encoding="utf-8") if args.out.is_file() else 'schema = "fishmj.controllers/1"\n'
     there = read_toml(args.out) if args.out.is_file() else {}

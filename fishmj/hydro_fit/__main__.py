@@ -25,7 +25,15 @@ FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the mo
 
 def run(verb: str, argv: list[str]) -> int | None:
     """Runs one of all, fit, calibrate, check, report, ablation."""
-    args = options(verb).parse_args(argv)
+    made = options(verb)
+    args = made.parse_args(argv)
+    needs: dict = {
+        "fit or all": (verb in ("fit", "all"), ("name", "seed")),
+        "a verb other than ablation": (verb != "ablation", ("base",)),
+    }
+    needs |= {"all, calibrate, check or report": (verb not in ("fit", "ablation"), ("model", "prior"))}
+    needs |= {"a fitted water, not --prior": (not args.prior, ("model", "base"))}
+    console.refuse_unheeded(f"hydro_fit {verb}", args, made, needs)
     robot = load_robot(args.fish)
     code = console.OK
     folder = gathered(robot, args) if verb == "all" else data_of(robot, args)

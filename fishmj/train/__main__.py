@@ -73,7 +73,7 @@ def options() -> console.Parser:
     correct = "train in the fitted water, compare the policy's returns there and in the flow solver, refit the water to both, and"
     correct += " again, until they agree; the same command goes on"
     p.add_argument("--correct", action="store_true", help=correct)
-    add("--rounds", type=console.whole(1, 100), default=4, metavar="N", help="of --correct, at most (default: 4)")
+    add("--rounds", type=console.whole(1, 100), metavar="N", help="of --correct, at most (default: 4)")
     place = (
         "of the solver: auto, cpu, cuda, cuda:N, cuda:all or a list; --engine lbm keeps its networks on the CPU (default: auto)"
     )
@@ -214,6 +214,8 @@ def settings_from(args, run=None):
     if args.together and (s.algo not in ALGORITHMS or ALGORITHMS[s.algo].train):
         raise ConfigError(f"--together trains fishmj's own algorithms only, not {s.algo}; train the seeds one after another")
     made = change(s, algorithm=algorithm, task=task, reward=reward, solver=solver, **top)
+    if args.intensity and made.task.get("turbulence") == "none":
+        raise ConfigError(f"--intensity {args.intensity:g} with --turbulence none, which has no eddies; leave one of them out")
     if made.engine == choice.LBM:
         _in_solver(made, args)
     elif solver:
@@ -260,7 +262,7 @@ def corrected(args, command: str) -> int:
     settings = settings_from(args)
     correct_water.affordable(settings, args)
     out = args.out or Path("runs") / f"correct-{settings.preset}-{settings.seed}"
-    where = {"slip": args.slip, "domain": args.domain, "device": args.device or "auto", "rounds": args.rounds}
+    where = {"slip": args.slip, "domain": args.domain, "device": args.device or "auto", "rounds": args.rounds or 4}
     steps = None if args.steps is None else int(args.steps)
     options = {"begin": args.begin, "asked": _asked_of(args), "steps": steps, "command": command}
     try:
@@ -349,6 +351,7 @@ def main(argv: list[str]) -> int:
         jax.config.update("jax_platforms", "cpu")  # small networks; the GPU is the solver's
     if args.correct:
         return corrected(args, one_line(shlex.join(["fishmj", "train", *argv])))
+    console.refuse_unheeded("train", args, parser, {"--correct": (False, ("rounds",))})
     if args.begin and (args.resume and not (args.seeds or args.sweep) or args.together):
         other = "--resume" if args.resume else "--together"
         raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")

@@ -93,7 +93,7 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
 
     wire: opens the devices that the options name, like `wiring.wire` (the default); another one may swim in lockstep.
     """
-    args = options().parse_args(argv)
+    args = wiring.parsed(options(), argv)
     robot = load_robot(args.robot)
     controller, pilot = pilot_of(args, robot)
     out = args.out or Path("runs") / f"swim-{datetime.now():%Y%m%d-%H%M%S}"

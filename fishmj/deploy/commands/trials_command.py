@@ -90,7 +90,7 @@ def main(argv: list[str], in_step: Wire | None = None) -> int:
 
     in_step: opens the loopback robot in lockstep, for --yes.
     """
-    args = options().parse_args(argv)
+    args = wiring.parsed(options(), argv)
     if args.yes and args.link != "loopback":
         raise ConfigError("trials: --yes is for --link loopback; a robot in water is put in place by a person")
     robot = load_robot(args.robot)

@@ -126,6 +126,25 @@ def loopback_options(parser: console.Parser) -> None:
     parser.add_argument("--loopback", type=console.text, metavar="OPTIONS", help=about)
 
 
+def parsed(made: console.Parser, argv: list[str]) -> Any:
+    """Arguments of a command that opens a robot. Raises ConfigError: an option that its link, camera or tracker does not heed."""
+    args = made.parse_args(argv)
+    ours, line = args.link == "loopback", args.link.startswith("serial:")
+    bus, seen = line or args.protocol == SERVO_BUS, not ours or args.camera not in (None, "loopback")
+    tag, paint = ("tag-family", "tag-number", "tag-size", "tag-mount", "tag-height"), ("red", "yellow", "paint-height")
+    needs = {
+        "--link serial:DEVICE or --protocol servo-bus": (bus, ("servo-ids", "servo-zeros-deg", "servo-signs", "baud")),
+        "--link loopback": (ours, ("loopback",)),
+        "--link udp://HOST": (not bus, ("host-port",)),
+        "--link udp://HOST or loopback": (not line or args.protocol == SERVO_BUS, ("protocol",)),
+        "--tracker tag": (args.tracker == "tag", tag),
+        "--tracker colour": (args.tracker == "colour", paint),
+        "a camera other than the loopback's, which draws its own marks": (seen, (*tag, *paint)),
+    }
+    console.refuse_unheeded(made.prog.removeprefix("fishmj "), args, made, needs)
+    return args
+
+
 def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:
     """Opens all devices that the options name; `stack` closes them.
 

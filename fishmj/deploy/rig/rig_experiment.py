@@ -65,7 +65,7 @@ def main(argv: list[str], wire: Wire | None = None) -> int:
 
     wire: opens the devices that the options name, like `wiring.wire` (the default); another one may play in lockstep.
     """
-    args = options().parse_args(argv)
+    args = wiring.parsed(options(), argv)
     if args.yes and args.link != "loopback":
         raise ConfigError("experiment: --yes is for --link loopback; a robot in water is put in place by a person")
     if args.medium == "air" and args.link == "loopback":

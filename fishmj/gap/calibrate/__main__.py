@@ -19,12 +19,14 @@ def fit(verb: str, argv: list[str]) -> int:
 
     again = interrupt.again("start again")
     with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
-        args = options(verb).parse_args(argv)
+        made = options(verb)
+        args = made.parse_args(argv)
         if args.out and args.out.is_file():
             load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
         if verb == "slip":
-            if args.ratios and not args.recompute:
-                raise ConfigError("calibrate slip: --ratios is for --recompute; leave it out, or add --recompute")
+            console.refuse_unheeded(
+                "calibrate slip", args, made, {"--recompute": (args.recompute, ("ratios", "device", "tanks"))}
+            )
             args.ratios = args.ratios or RATIOS
             if args.reference:
                 args.grid, args.boundary = reference_grid(args.grid, args.boundary)

@@ -13,6 +13,7 @@ import numpy as np
 
 from fishmj import control, engines
 from fishmj.base import console, interrupt
+from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.control.policy import BEST
 from fishmj.lbm_oracle.run.domain import NAMES
@@ -118,7 +119,7 @@ def options() -> console.Parser:
     add("--speed", type=console.number(0, 1), default=0.2, metavar="M/S", help="of the current at the start")
     add("--direction", type=console.number(-360, 360), default=180.0, metavar="DEG", help="the water moves towards it")
     add("--turbulence", default="default", choices=tuple(PRESETS), help="of the current")
-    add("--intensity", type=console.number(0, 0.99), default=0.05, help="of the turbulence: u_rms / max(speed, 0.1 m/s)")
+    add("--intensity", type=console.number(0, 0.99), help="of the turbulence: u_rms / max(speed, 0.1 m/s); default 0.05")
     add("--seed", type=console.SEED, default=0, help="of turbulence and sensor noise")
     host = "address that the page is served on; 0.0.0.0 lets everybody watch who can reach this machine"
     add("--host", type=console.text, default=LOCAL, metavar="ADDRESS", help=host)
@@ -150,7 +151,13 @@ def say_notes(controller: control.Controller) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     """The verb `play`. Returns the exit code."""
-    args = options().parse_args(argv)
+    parser = options()
+    args = parser.parse_args(argv)
+    water = choice.chosen(load_robot(args.robot), args.water)
+    needs: dict = {"--water hybrid": (water.kind == choice.HYBRID, ("domain", "device"))}
+    needs |= {"--save": (args.save, ("overwrite",)), "an eddying --turbulence": (args.turbulence != "none", ("intensity",))}
+    console.refuse_unheeded("play", args, parser, needs)
+    args.intensity = constant("turbulence", "intensity") if args.intensity is None else args.intensity
     if args.save and args.save.exists() and not args.overwrite:
         raise ConfigError(f"play: {args.save} is there already; choose another --save, or replace it with --overwrite")
     if args.save and args.save.is_dir() and not (args.save / META_FILE).is_file():
@@ -158,7 +165,6 @@ def main(argv: list[str] | None = None) -> int:
     direction = float(np.radians(args.direction))
     flow = Flow(speed=args.speed, direction=direction, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     check_host(args.host)
-    water = choice.chosen(load_robot(args.robot), args.water)
     robot = water.within((*choice.SELF_MADE, choice.HYBRID), "play").robot
     controller = controller_of(args, robot)
     console.say(
