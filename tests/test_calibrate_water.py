@@ -153,6 +153,19 @@ def test_trials_in_memory_give_the_robot_and_what_is_said_of_it(plant, monkeypat
         assert mine.speed == theirs.speed and mine.simulated == pytest.approx(theirs.simulated, rel=1e-9)
 
 
+def test_fit_worse_than_the_description_is_refused(plant, monkeypatch):
+    monkeypatch.setattr(water_fit, "fitted", lambda plant, records, begin, *_: lost(plant))
+    trials = list(swum(in_water(ROBOT, "structured"), SWIMS[:5]).values())
+    with pytest.raises(LogError, match="water: swims that the fit has not seen are .* times as far off as the described"):
+        water_fit.calibrate_trials(trials, ROBOT)
+
+
+def lost(plant) -> Minimum:
+    """A fit that ended far from the described coefficients."""
+    theta = plant.starts()[0] * 1.5
+    return Minimum(theta, 0.0, np.zeros(30), np.eye(30, len(theta)), np.zeros(len(theta), bool), 1)
+
+
 def test_a_fit_ends_at_the_least_and_at_a_bound():
     slopes = np.array([[2.0, 1.0], [0.0, 3.0], [1.0, -1.0]])
     residual = lambda thetas: thetas @ slopes.T - np.array([4.0, 3.0, 1.0])

@@ -248,6 +248,8 @@ def run_water(args) -> Answer:
     page = fit_plots.report(
         args.report, "Water calibration", tables, picture, source_lines(logs, f"{words}. {doubt}"), fit_plots.WATER_WORDS
     )
+    if found.refusal:
+        raise LogError(f"{args.data}: {found.refusal}. Nothing is written; the evidence is in {page}")
     if args.out:
         text = calibrated_model.start(args.out, args.model)
         text = calibrated_model.put(text, "water", found.water | {"model": STRUCTURED}, source=source(args), new=True)

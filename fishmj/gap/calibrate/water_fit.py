@@ -14,7 +14,7 @@ Intervals are 90 %: two standard errors, from the curvature (noise) and from a d
 quadrature. The second is the structural part: a wrong form of water gives other coefficients on other swims.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -76,6 +76,7 @@ class WaterFit(NamedTuple):
     physical: dict[str, ParameterEstimate]
     before: list[HeldOutSwim]
     after: list[HeldOutSwim]
+    misfit: tuple[float, float]  # of `after` and `before`, squared and weighted as in the fit
 
     @property
     def water(self) -> dict:
@@ -87,6 +88,13 @@ class WaterFit(NamedTuple):
         """The described robot in its calibrated water, as `fishmj calibrate water --out` writes it."""
         kept = {key: value for key, value in self.plant.robot.water.items() if key == "stations"}
         return replace(self.plant.robot, water={**self.water, **kept, "model": STRUCTURED})
+
+    @property
+    def refusal(self) -> str:
+        """Reason not to use the fit: it predicts swims that it has not seen worse than the described coefficients do; else ""."""
+        unseen, described = self.misfit
+        off = f"{np.sqrt(unseen / max(described, 1e-12)):.3g} times as far off as the described coefficients"
+        return f"water: swims that the fit has not seen are {off}; keep those, or record more swims" if unseen > described else ""
 
     @property
     def speed_error(self) -> ParameterEstimate:
@@ -103,13 +111,15 @@ def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> 
     Args:
         trials: free swims from a generator or a log folder; equal names are numbered.
 
-    Raises LogError: too few swims or kinds of swim, or joints that do not match the robot.
+    Raises LogError: too few swims or kinds of swim, joints that do not match the robot, or a fit worse than the description.
     """
     listed = list(trials)
     named = {trial.name or f"{i:03d}": trial for i, trial in enumerate(listed)}
     if len(named) < len(listed):
         named = {f"{i:03d}_{trial.name}": trial for i, trial in enumerate(listed)}
     found = calibrate(Logs(Path("trials in memory"), named), WaterPlant(robot))
+    if found.refusal:
+        raise LogError(found.refusal)
     return found.robot, found
 
 
@@ -124,14 +134,16 @@ def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent_bar) -> Wate
             bar.update(done)
         whole = min(ends, key=lambda end: end.cost)
         after: list[HeldOutSwim] = []
-        others = []
+        others, misfits = [], np.zeros(2)
         for done, fold in enumerate(folds, len(starts) + 1):
             rest = [r for i, r in enumerate(records) if i not in fold]
             others.append(fitted(plant, rest, whole.theta, AGAIN, ENOUGH_AGAIN).theta)
             after += predicted(plant, [records[i] for i in fold], others[-1])
+            misfits += misfit(plant, [records[i] for i in fold], np.stack([others[-1], starts[0]]))
             bar.update(done)
     coefficients, physical = intervals(plant, whole, np.array(others))
-    return WaterFit(plant, records, whole.theta, coefficients, physical, predicted(plant, records, starts[0]), after)
+    before, apart = predicted(plant, records, starts[0]), (float(misfits[0]), float(misfits[1]))
+    return WaterFit(plant, records, whole.theta, coefficients, physical, before, after, apart)
 
 
 def swims(logs: Logs) -> list[str]:
@@ -208,8 +220,19 @@ class Movement(NamedTuple):
         return off, off[..., : whole * size].reshape(*off.shape[:2], whole, size).mean(-1)
 
 
+def misfit(plant: WaterPlant, records: list[Record], thetas: np.ndarray) -> np.ndarray:
+    """(R,) squared errors of parameters (R, K) on some records, weighted as in the fit."""
+    residual, weight = residual_of(plant, records)
+    return np.sum((weight * residual(thetas)) ** 2, 1)
+
+
 def fitted(plant: WaterPlant, records: list[Record], begin: np.ndarray, rounds: int, enough: float) -> Minimum:
     """The fit to some records, from parameters (K,)."""
+    return minimum(plant.parameters(), *residual_of(plant, records), begin, rounds, enough)
+
+
+def residual_of(plant: WaterPlant, records: list[Record]) -> tuple[Callable, np.ndarray]:
+    """Errors (R, M) of parameters (R, K) on some records in tolerances, and their weights (M,)."""
     bare = [r._replace(joint=None, power=None, placed=None, weighed=None) for r in records]
     poses = [pose_of(r) for r in records]
     movements = [Movement.of(pose) for pose in poses]
@@ -221,8 +244,7 @@ def fitted(plant: WaterPlant, records: list[Record], begin: np.ndarray, rounds: 
         return np.nan_to_num(made, nan=FAR, posinf=FAR, neginf=-FAR)
 
     sizes = [part.size for m, pose in zip(movements, poses, strict=True) for part in m.misses(pose.values[None])]
-    weight = np.repeat(np.tile([1.0 / RATE, 1.0 / MEAN], len(records)), sizes)
-    return minimum(plant.parameters(), residual, weight, begin, rounds, enough)
+    return residual, np.repeat(np.tile([1.0 / RATE, 1.0 / MEAN], len(records)), sizes)
 
 
 def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[dict, dict]:
