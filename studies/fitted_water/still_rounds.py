@@ -81,7 +81,7 @@ def drift(given) -> int:
     records = [data[name] for name in sorted(data.about)]
     tick = records[0].tick
     first, size = (round(seconds / tick) for seconds in (SETTLED, SWIM))
-    pieces = [(n, a, a + size) for n, r in enumerate(records) for a in range(first, len(r.q) - size, size)]
+    pieces = [(n, a, a + size) for n, r in enumerate(records) for a in range(first, len(r.q) - size + 1, size)]
     fleet = rollout.cut(chain, robot, records, pieces)
     swum = rollout.SwimWindow(chain, planar_chain.nominal(robot)).run(fleet, flat(model.base), model.learnt)
     mine, theirs = (rollout.windows(track, fleet, tick, 1.0) for track in (swum, rollout.recorded(fleet)))
