@@ -1,7 +1,7 @@
 """The campaign: what it plans, what a segment of the flow solver holds, and that collecting goes on where it was stopped."""
 
 import json
-from argparse import Namespace
+from argparse import ArgumentTypeError, Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -254,3 +254,10 @@ def test_the_shipped_data_are_what_their_command_makes():
     assert sum("file" not in meta for meta in stopped) <= 10
     assert sum(path.stat().st_size for path in SHIPPED.rglob("*") if path.is_file()) < 40e6
     assert sum(meta["seconds"] for meta in data.about.values() if meta["split"] == "train") > 2900
+
+
+def test_collect_checks_its_default_folder_before_it_solves(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").write_text("a file in the place of the folder")
+    with pytest.raises(ArgumentTypeError, match="nothing can be written below it"):
+        main(["--preview", "--device", "cpu"])

@@ -33,9 +33,10 @@ from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.segment_dataset import open_dataset
+from fishmj.mjcf.reading import load_robot
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain
-from fishmj.water.hydro_model import HydroModel
+from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat, names_of, prior_of, unflat
 
 ROBOT, CHAIN, TICK = hidden.ROBOT, hidden.CHAIN, hidden.TICK
@@ -415,3 +416,21 @@ def test_fit_lets_xla_fuse_operations_unless_xla_flags_say_otherwise():
 def test_a_negative_number_of_steps_is_refused_before_anything_is_read():
     with pytest.raises(UsageError, match=r"--swims: got '-1', expected a whole number from 0"):
         verb.main(["fit", "--swims", "-1"])
+
+
+def test_shipped_water_is_judged_with_a_note_where_none_is_fitted(tmp_path, monkeypatch, capsys):
+    args = verb.options("check").parse_args([])
+    verb.chosen(fish := load_robot("fish"), args)
+    assert not capsys.readouterr().out
+    monkeypatch.setattr(verb, "FOLDERS", (tmp_path, *verb.FOLDERS))
+    assert verb.chosen(fish, args).name == "swift"
+    assert f"no fitted water in {tmp_path}: using the shipped" in capsys.readouterr().out
+
+
+def test_damaged_water_is_replaced_by_the_next_fit(tmp_path, capsys):
+    fish = load_robot("fish")
+    weights = HydroModel.load("swift").save(tmp_path).with_suffix(".safetensors")
+    assert verb.standing_model(tmp_path, "swift", robot_hash(fish)) is not None
+    weights.write_bytes(weights.read_bytes()[:-4] + b"0000")
+    assert verb.standing_model(tmp_path, "swift", robot_hash(fish)) is None
+    assert "cannot be compared and will be replaced" in capsys.readouterr().err

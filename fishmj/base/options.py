@@ -354,8 +354,8 @@ def _writable(where: Path, folder: Path) -> None:
     if not there.is_dir():
         raise argparse.ArgumentTypeError(f"{where}: {there} is a file, so nothing can be written below it; choose another place")
     try:
-        with tempfile.TemporaryFile(dir=there):  # tried, because permissions alone say nothing to root or of /proc
-            pass
+        with tempfile.TemporaryFile(dir=there) as file:  # tried: permissions say nothing to root or of /proc, nor of a full disk
+            file.write(bytes(2**16))
     except OSError as error:
         message = f"{where}: {there} cannot be written ({error.strerror}); choose another place"
         raise argparse.ArgumentTypeError(message) from error

@@ -245,7 +245,7 @@ def standing_model(folder: Path, name: str, robot_sha256: str) -> tuple[HydroMod
         return None
     try:
         model = HydroModel.load(path)
-    except ConfigError as error:
+    except (ConfigError, StoreError) as error:
         console.warn(f"what stands in the place cannot be compared and will be replaced: {error}")
         return None
     return (model, path) if model.robot_sha256 == robot_sha256 else None
@@ -321,6 +321,8 @@ def chosen(robot: Robot, args) -> HydroModel:
         raise StoreError(
             f"{place}: no fitted water for {robot.name!r} yet; fit it: python -m fishmj.hydro_fit fit --fish {args.fish}"
         )
+    if not args.model and place != places[0]:
+        console.say(f"no fitted water in {places[0].parent}: using the shipped {place}")
     model = HydroModel.load(args.model or place)
     return model.base_only if args.base else model
 

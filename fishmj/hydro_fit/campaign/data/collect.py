@@ -273,6 +273,7 @@ def run(args: argparse.Namespace) -> int:
         say_plan(plan, robot, domain)
         say_cost(plan, out, domain, boundary_name(edge), args)
         return console.OK
+    console.out_folder(str(out))
     if not args.ray:
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
