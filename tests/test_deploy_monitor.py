@@ -166,6 +166,10 @@ def test_the_command_says_what_it_needs(tmp_path, healthy, capsys):
         write_trial(tmp_path / "other", Trial(META | other, cut), overwrite=True)
         assert monitor_command.main([str(tmp_path / "other")]) == 3
         assert f"the log is of {words}" in capsys.readouterr().err
+    two = {**cut, "joint": {key: column for key, column in cut["joint"].items() if key != "j3"}}
+    write_trial(tmp_path / "two", Trial(META, two))
+    with pytest.raises(LogError, match="table joint has 2 joints, the model 'swift' has 3; name its own robot with --robot"):
+        monitor_command.main([str(tmp_path / "two")])
     write_trial(tmp_path / "deaf", Trial(META, {"pose": cut["pose"]}))
     with pytest.raises(LogError, match="no table cmd, joint"):
         monitor_command.main([str(tmp_path / "deaf")])

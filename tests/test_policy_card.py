@@ -130,6 +130,12 @@ def test_options_of_one_policy_need_its_name(capsys):
     assert cli.main(["policy", "station", "--curve", "x.jsonl"]) == 2
 
 
+def test_card_names_the_robot_of_the_training(capsys):
+    assert cli.main(["policy", "station", "--json"]) == 0
+    out = capsys.readouterr().out
+    assert "trained for robot swift" in out and json.loads(out.splitlines()[-1])["robot"] == "swift"
+
+
 def test_policies_are_listed_side_by_side(capsys):
     assert cli.main(["policy"]) == 0
     out = capsys.readouterr().out

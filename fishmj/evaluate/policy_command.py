@@ -53,7 +53,7 @@ def main(argv: list[str]) -> int:
     if "card" in answer:
         console.say("", f"wrote {answer['card']}")
     if args.json:
-        console.emit_json(card.plain() | answer)
+        console.emit_json(card.plain() | {"robot": Policy.load(args.policy).meta.get("robot")} | answer)
     return console.OK
 
 
@@ -62,7 +62,11 @@ def listed(as_json: bool) -> int:
     cards = {name: read_card(name) for name in shipped()}
     title = "trials that arrive, RMSE after arrival [m] with its 95 % interval; synthetic"
     console.say(title, "", console.table(comparison(list(cards.values()))), "")
-    console.say(*(f"{name}: {SHIPPED[name]}" for name in cards if name in SHIPPED), "", "fishmj policy NAME shows one in full")
+    console.say(
+        *(f"{name}: {SHIPPED[name]}" for name in cards if name in SHIPPED),
+        "",
+        "fishmj policy NAME shows one in full",
+    )
     if as_json:
         console.emit_json({name: card.plain() for name, card in cards.items()})
     return console.OK
@@ -85,7 +89,7 @@ def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
     sees = "the newest observation" if policy.memory == 1 else f"its last {policy.memory} observations and the actions between"
     lines = [
         f"policy {card.policy}, sha256 {card.sha256}, {card.origin}",
-        f"network {widths} ({meta['activation']}), sees {sees}; robot {meta.get('robot', 'not recorded')}",
+        f"network {widths} ({meta['activation']}), sees {sees}; trained for robot {meta.get('robot', 'not recorded')}",
         f"decides every {meta.get('control_dt', '?')} s on the command path {meta.get('command_path', 'not recorded')}",
         "",
         *(f"trained in {water}{f' ({n} times)' * (n > 1)}" for water, n in Counter(map(_water, card.waters or [{}])).items()),

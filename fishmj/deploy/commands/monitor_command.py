@@ -13,6 +13,7 @@ from fishmj.deploy.monitor.tick_interpolation import as_heard
 from fishmj.log import Trial, read_trial
 from fishmj.log.dataset import take
 from fishmj.log.trial_folder import FLAT_FILE, META_FILE
+from fishmj.log.unread_rows import joints
 from fishmj.mjcf.identity import another_body
 from fishmj.mjcf.reading import load_robot
 
@@ -52,6 +53,12 @@ def main(argv: list[str]) -> int:
         missing = [table for table in ("cmd", "joint") if not has([trial], table)]
         if missing:
             raise LogError(f"{name}: no table {', '.join(missing)}; the monitor compares commands with joint angles at least")
+        for table, letter in (("cmd", "c"), ("joint", "j")):
+            if (count := len(joints(trial.tables[table], letter))) != robot.n_joints:
+                raise LogError(
+                    f"{name}: table {table} has {count} joints, the model {robot.name!r} has {robot.n_joints}; name its own robot"
+                    " with --robot"
+                )
         whose = str(trial.value("robot") or robot.name)[:64]
         named = whose in (robot.name, args.robot)
         if not named or another_body(trial.meta, robot):
