@@ -1,5 +1,6 @@
 """Command lines written by someone who knew the docs and not the code: one clear line, exit 2, nothing left behind."""
 
+import argparse
 import io
 import json
 import os
@@ -37,3 +38,10 @@ def test_a_mistyped_command_is_one_line(name, place, monkeypatch, capsys):
     if "--json" not in err:  # a command without it says so
         assert json.loads(out.splitlines()[-1])["exit"] == code
     assert listing(place) == before
+
+
+def test_full_disk_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: open("/dev/full", "wb"))
+    for kind in (console.out_folder, console.out_file):
+        with pytest.raises(argparse.ArgumentTypeError, match="cannot be written .No space left on device.; choose another"):
+            kind(str(tmp_path / "new"))

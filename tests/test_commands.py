@@ -232,13 +232,6 @@ def test_what_is_no_number_of_the_range_is_one_line(row):
         assert action.option_strings[-1] in said and ("expected" in said), said
 
 
-def test_full_disk_is_refused_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: open("/dev/full", "wb"))
-    for kind in (console.out_folder, console.out_file):
-        with pytest.raises(argparse.ArgumentTypeError, match="cannot be written .No space left on device.; choose another"):
-            kind(str(tmp_path / "new"))
-
-
 TEXTS = {console.text, console.path, console.name, console.out_file, console.out_folder, console.device, console.devices}
 
 

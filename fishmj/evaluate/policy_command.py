@@ -62,11 +62,7 @@ def listed(as_json: bool) -> int:
     cards = {name: read_card(name) for name in shipped()}
     title = "trials that arrive, RMSE after arrival [m] with its 95 % interval; synthetic"
     console.say(title, "", console.table(comparison(list(cards.values()))), "")
-    console.say(
-        *(f"{name}: {SHIPPED[name]}" for name in cards if name in SHIPPED),
-        "",
-        "fishmj policy NAME shows one in full",
-    )
+    console.say(*(f"{name}: {SHIPPED[name]}" for name in cards if name in SHIPPED), "", "fishmj policy NAME shows one in full")
     if as_json:
         console.emit_json({name: card.plain() for name, card in cards.items()})
     return console.OK

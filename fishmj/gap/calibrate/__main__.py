@@ -24,9 +24,8 @@ def fit(verb: str, argv: list[str]) -> int:
         if args.out and args.out.is_file():
             load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
         if verb == "slip":
-            console.refuse_unheeded(
-                "calibrate slip", args, made, {"--recompute": (args.recompute, ("ratios", "device", "tanks"))}
-            )
+            needs = {"--recompute": (args.recompute, ("ratios", "device", "tanks"))}
+            console.refuse_unheeded("calibrate slip", args, made, needs)
             args.ratios = args.ratios or RATIOS
             if args.reference:
                 args.grid, args.boundary = reference_grid(args.grid, args.boundary)
