@@ -18,35 +18,36 @@ command) passes.
     handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
 """
 
-from cmath import phase
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations, pairwise
-from math import log, pi, sqrt
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.log.trial import Trial, stacked
+from fishmj.log.course import (
+    DRIVEN,
+    FEWEST,
+    FOLLOWS,
+    GRID,
+    IMPORT,
+    NOTE,
+    OTHER,
+    USE,
+    common_clock,
+    correlation,
+    delayed,
+    drifts,
+    handedness,
+    heading,
+)
+from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, is_logged, is_sound, joints, lost_poses, speeds
 
-IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and all after it; gap find and calibrate; nothing
-LONGEST = 3600.0  # s of a trial that are looked at
-GRID = 0.02  # s, step of the common clock on which channels are compared
-DRIVEN = 0.05  # rad, span of a command that moves a joint
-FOLLOWS = np.arange(0.0, 0.31, GRID)  # s by which a joint follows its command
-SEEN = np.arange(0.0, 0.21, GRID)  # s by which a camera's heading is late behind the joints; behind the commands: FOLLOWS
-BEAT = 0.5  # rad/s, root mean square of the tail's rate from which a recoil is expected
-OTHER = 0.4  # correlation of the opposite sign from which the sign is not told
-PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of them
-TURN = 0.5  # rad that a course must turn through before a heading's sense is told
-CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
-FEWEST = 8  # courses
-NEAR = 20.0  # deg from a quarter turn that still is one
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
 WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
-NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
 RELEASED = 0.02  # m from a pose that was held to the next one
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
@@ -112,7 +113,7 @@ def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     pose = trial.tables.get("pose", {})
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return
-    paces = np.hypot(*_drifts(pose)[1])
+    paces = np.hypot(*drifts(pose)[1])
     if len(paces) >= FEWEST and (pace := float(np.median(paces))) > bounds.leap:
         yield (
             USE,
@@ -255,7 +256,7 @@ def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     for name, t, c, j in _pairs(trial):
         if np.ptp(c) < DRIVEN or np.ptp(j) < 0.2 * np.ptp(c) or t[-1] - t[0] < 1.0:
             continue
-        found = [_correlation(*_late(c, j, lag)) for lag in FOLLOWS]
+        found = [correlation(*delayed(c, j, lag)) for lag in FOLLOWS]
         worst, best = min(found), max(found)
         if worst < -bounds.against and best < OTHER:
             text = (
@@ -270,7 +271,7 @@ def _joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     for name, t, c, j in _pairs(trial):
         if np.ptp(c) < 2 * DRIVEN or t[-1] - t[0] < 1.0:
             continue
-        times, best = float(np.std(j) / np.std(c)), max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS)
+        times, best = float(np.std(j) / np.std(c)), max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS)
         least = WEAK / bounds.gain
         if not least <= times <= bounds.gain and times > bounds.still and best > FOLLOWED:
             text = (
@@ -284,7 +285,7 @@ def _joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     pairs = [pair for pair in _pairs(trial) if np.ptp(pair[2]) > 2 * DRIVEN and len(pair[1]) > 50]
     if len({len(t) for _, t, _, _ in pairs}) != 1 or bounds.against >= 1.0:
         return
-    own = np.array([[max(_correlation(*_late(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in pairs] for _, _, c, _ in pairs])
+    own = np.array([[max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in pairs] for _, _, c, _ in pairs])
     for b, a in combinations(range(len(pairs)), 2):
         if min(own[a, b], own[b, a]) > SWAPPED and min(own[a, a], own[b, b]) < FOLLOWED:
             one, two = pairs[b][0], pairs[a][0]
@@ -293,95 +294,6 @@ def _joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
                 f" their own {own[b, b]:.2f} and {own[a, a]:.2f}): are the two columns exchanged? Change them over in the map"
             )
             yield USE, text
-
-
-def _heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    pose = trial.tables.get("pose", {})
-    if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20 and bounds.course < pi:
-        t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
-        spin = float(np.quantile(np.abs(np.interp(t + NOD, t, yaw) - yaw), 0.9)) / NOD
-        if spin > SPIN:
-            yield (
-                IMPORT,
-                f"pose: yaw turns at {spin:.3g} rad/s (over {NOD:g} s; at most {SPIN:g} is plausible): it is in degrees. In the"
-                ' map give columns.yaw unit = "deg"',
-            )
-            return
-    found = _courses(trial)
-    if found is None:
-        return
-    course, yaw = found
-    turned = float(np.ptp(np.unwrap(course)))
-    off, mirrored = _relation(course - yaw), _relation(course + yaw)
-    scaled = _relation(course - np.radians(yaw))
-    mean = np.degrees(off[0])
-    if turned > TURN:
-        if mirrored[1] < CLEAR and mirrored[1] < off[1] / 3 and bounds.course < pi:
-            zero = np.degrees(mirrored[0])
-            name = "a compass counts so, from north" if abs(zero - 90) < 25 else "a frame whose z points down counts so"
-            text = (
-                f"pose: yaw turns clockwise, against the course over ground (they add up to {zero:.0f} deg, scatter"
-                f" {np.degrees(mirrored[1]):.0f} deg; expected the same course, counter-clockwise from x); {name}."
-                f" In the map give columns.yaw sign = -1 and a zero of {round(zero / 90) * 90:d} deg, in the unit of the file"
-            )
-            yield IMPORT, text
-            return
-        if scaled[1] < CLEAR and scaled[1] < off[1] / 3 and np.ptp(yaw) > 10 * turned and bounds.course < pi:
-            text = (
-                f"pose: yaw turns by {np.ptp(yaw):.3g} while the course turns by {turned:.2g} rad: it is in degrees."
-                ' In the map give columns.yaw unit = "deg"'
-            )
-            yield IMPORT, text
-            return
-    ahead = _swims_ahead(trial)
-    if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned and bounds.course < pi:
-        text = (
-            f"pose: yaw stays within {np.degrees(np.ptp(yaw)):.2g} deg while the course turns by {np.degrees(turned):.0f} deg: is"
-            " it the heading of the camera or of another body? Name another column, or leave the pose out"
-        )
-        yield USE, text
-        return
-    if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False:
-        return
-    message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
-    near = round(mean / 90) * 90
-    if turned > TURN and near and abs(mean - near) < NEAR:
-        yield IMPORT, f"{message}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
-        return
-    compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
-    if near and abs(mean - near) < NEAR:
-        cause = f"an offset (give columns.yaw a zero that is {-near:d} deg more)"
-    elif abs(compass) < NEAR and mirrored[1] < CLEAR:
-        cause = "a compass heading, clockwise from north (give columns.yaw sign = -1 and a zero of 90 deg)"
-    else:
-        cause = "another zero of the heading"
-    yield NOTE, f"{message}: {cause}, or a current carries it"
-
-
-def _handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    if trial.value("medium") == "air" or "pose" not in trial.tables or any(_heading(trial, bounds)):
-        return
-    pose, measured = trial.tables["pose"], "joint" in trial.tables
-    bent = trial.tables.get("joint", trial.tables.get("cmd", {}))
-    angles = stacked(bent, "j#" if measured else "c#") if bent else np.zeros((0, 0))
-    if min(len(pose["t"]), len(angles)) < 20 or float(np.median(np.diff(pose["t"]))) > 0.1 or not angles.shape[1]:
-        return
-    grid = _grid(bent["t"], pose["t"])
-    if len(grid) < 2.0 / GRID:
-        return
-    tail = np.interp(grid, bent["t"], angles.sum(1))
-    yaw = np.interp(grid, pose["t"], np.unwrap(np.asarray(pose["yaw"], float)))
-    swing, turn = (_fast(np.gradient(_mean_over(_mean_over(x, 5), 5), GRID)) for x in (tail, yaw))
-    if np.std(swing) < BEAT:
-        return
-    found = [_correlation(*_late(swing, turn, lag)) for lag in (SEEN if measured else FOLLOWS)]
-    if max(found) > bounds.hand and min(found) > -OTHER:
-        text = (
-            f"pose: the head swings with the tail (correlation {max(found):.2f}), a swimming body recoils against it: the"
-            " camera's picture is mirrored or a frame counts z down (give columns.y and columns.yaw sign = -1 in the map), yaw"
-            " alone counts clockwise (sign = -1), or all joints count the other way (sign = -1 for each c and j)"
-        )
-        yield USE, text
 
 
 CHECKS = (
@@ -394,19 +306,13 @@ CHECKS = (
     PhysicalCheck("joint sign", "correlation with the command, negative at every delay to 0.3 s", "against", _joint_sign),
     PhysicalCheck("joint scale", "movement of a joint over that of its command", "gain", _joint_scale),
     PhysicalCheck("joint order", "two joints follow each other's commands and not their own", "against", _joint_order),
-    PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", _heading),
-    PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", _handedness),
+    PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", heading),
+    PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", handedness),
 )
 JOINTS = tuple(check.name for check in CHECKS if check.name not in ("lost pose", "heading", "handedness"))  # need no camera
 
 
 # ----------------------------------------------------------------------------------------------------------------- helpers
-def _grid(*stamps: np.ndarray) -> np.ndarray:
-    """Common clock of several tables; empty where they do not overlap."""
-    start = max(float(t[0]) for t in stamps)
-    return np.arange(start, min(start + LONGEST, *(float(t[-1]) for t in stamps)), GRID)
-
-
 def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """(name, grid, command, joint), less their means, of each joint that has a command, while its torque is on."""
     cmd, joint = trial.tables.get("cmd", {}), trial.tables.get("joint", {})
@@ -414,7 +320,7 @@ def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarr
         number = name[1:]
         if f"c{number}" not in cmd or len(cmd["t"]) < 2 or len(joint["t"]) < 2:
             continue
-        grid = _grid(cmd["t"], joint["t"])
+        grid = common_clock(cmd["t"], joint["t"])
         if f"on{number}" in cmd and len(grid):
             held = np.searchsorted(cmd["t"], grid, side="right") - 1
             grid = grid[np.asarray(cmd[f"on{number}"])[held] > 0]
@@ -424,75 +330,3 @@ def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarr
         sent = np.searchsorted(cmd["t"], grid, side="right") - 1
         c = np.asarray(cmd[f"c{number}"], float)[sent]
         yield name, grid, c, np.interp(grid, joint["t"], np.asarray(joint[name], float))
-
-
-def _late(early: np.ndarray, late: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
-    """Both channels at equal times, the second `lag` s later."""
-    rows = round(lag / GRID)
-    return early[: len(early) - rows], late[rows:]
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    scale = float(np.std(a) * np.std(b))
-    return float(np.mean((a - a.mean()) * (b - b.mean()))) / scale if scale > 0 else 0.0
-
-
-def _mean_over(x: np.ndarray, rows: int) -> np.ndarray:
-    """Moving mean, edges repeated."""
-    return np.convolve(np.pad(x, (rows // 2, rows - 1 - rows // 2), "edge"), np.ones(rows) / rows, "valid")
-
-
-def _fast(x: np.ndarray) -> np.ndarray:
-    """Part of x within a beat: turns and drifts are removed."""
-    return x - _mean_over(x, round(1.5 / GRID))
-
-
-def _relation(angle: np.ndarray) -> tuple[float, float]:
-    """Circular mean and scatter of angles, rad."""
-    mean = complex(np.mean(np.exp(1j * angle)))
-    return phase(mean), sqrt(max(-2 * log(max(abs(mean), 1e-9)), 0.0))
-
-
-def _swims_ahead(trial: Trial) -> bool | None:
-    """Returns True if a wave runs down the tail and bends it equally to both sides; None if no joint is logged."""
-    table, letter = next(((trial.tables[n], c) for n, c in (("joint", "j#"), ("cmd", "c#")) if n in trial.tables), (None, ""))
-    if table is None:
-        return None
-    q = stacked(table, letter)
-    if len(q) < 3:
-        return False
-    swing = np.std(q, axis=0)
-    if not q.shape[1] or np.max(swing) < DRIVEN or np.any(np.abs(q.mean(0)) > np.max(swing)):
-        return False
-    if q.shape[1] == 1:
-        return True
-    first, last = q[:, 0] - q[:, 0].mean(), q[:, -1] - q[:, -1].mean()
-    rate = [np.gradient(x, np.asarray(table["t"], float)) for x in (first, last)]
-    lag = np.mean(first * rate[1] - rate[0] * last) / max(np.std(first) * np.std(rate[1]), np.std(last) * np.std(rate[0]), 1e-12)
-    return bool(lag > 0.3)  # twice the sine of the lag, of one beat
-
-
-def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
-    """Course through the water and mean yaw, rad, over 1 s each, while the fish swims; None if few, or in an unknown stream."""
-    pose, unknown = trial.tables.get("pose", {}), trial.value("flow.known") is False
-    if unknown or len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
-        return None
-    begin, moved = _drifts(pose)
-    if len(begin) < FEWEST:
-        return None
-    stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
-    speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
-    t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
-    total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
-    vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
-    mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE
-    pace = np.hypot(vx, vy)
-    moving = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
-    return (np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
-
-
-def _drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Begins (K,) s of stretches of `PACE`, and the mean velocities (2, K) m/s over ground in them."""
-    t = np.asarray(pose["t"], float)
-    begin = np.arange(t[0], min(t[-1], t[0] + LONGEST) - PACE, APART)
-    return begin, np.array([np.interp(begin + PACE, t, pose[k]) - np.interp(begin, t, pose[k]) for k in "xy"]) / PACE

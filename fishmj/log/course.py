@@ -1,0 +1,201 @@
+"""Physical checks of the course: where the fish goes against where its camera says that it heads, and how its body swings.
+
+`heading` and `handedness` are rows of `physical_checks.CHECKS`; each yields (level, text) of a trial. The comparisons of two
+channels on a common clock stand here too.
+"""
+
+from cmath import phase
+from collections.abc import Iterator
+from math import log, pi, sqrt
+
+import numpy as np
+
+from fishmj.log.trial import Trial, stacked
+from fishmj.log.trial_check import Plausible
+from fishmj.log.unread_rows import is_sound
+
+IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and all after it; gap find and calibrate; nothing
+LONGEST = 3600.0  # s of a trial that are looked at
+GRID = 0.02  # s, step of the common clock on which channels are compared
+DRIVEN = 0.05  # rad, span of a command that moves a joint
+FOLLOWS = np.arange(0.0, 0.31, GRID)  # s by which a joint follows its command
+SEEN = np.arange(0.0, 0.21, GRID)  # s by which a camera's heading is late behind the joints; behind the commands: FOLLOWS
+BEAT = 0.5  # rad/s, root mean square of the tail's rate from which a recoil is expected
+OTHER = 0.4  # correlation of the opposite sign from which the sign is not told
+PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of them
+TURN = 0.5  # rad that a course must turn through before a heading's sense is told
+CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
+FEWEST = 8  # courses
+NEAR = 20.0  # deg from a quarter turn that still is one
+NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
+
+
+def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    """Findings on course over ground against yaw: clockwise, offset, in degrees, of another body."""
+    pose = trial.tables.get("pose", {})
+    if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20 and bounds.course < pi:
+        t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
+        spin = float(np.quantile(np.abs(np.interp(t + NOD, t, yaw) - yaw), 0.9)) / NOD
+        if spin > SPIN:
+            yield (
+                IMPORT,
+                f"pose: yaw turns at {spin:.3g} rad/s (over {NOD:g} s; at most {SPIN:g} is plausible): it is in degrees. In the"
+                ' map give columns.yaw unit = "deg"',
+            )
+            return
+    found = _courses(trial)
+    if found is None:
+        return
+    course, yaw = found
+    turned = float(np.ptp(np.unwrap(course)))
+    off, mirrored = _relation(course - yaw), _relation(course + yaw)
+    scaled = _relation(course - np.radians(yaw))
+    mean = np.degrees(off[0])
+    if turned > TURN:
+        if mirrored[1] < CLEAR and mirrored[1] < off[1] / 3 and bounds.course < pi:
+            zero = np.degrees(mirrored[0])
+            name = "a compass counts so, from north" if abs(zero - 90) < 25 else "a frame whose z points down counts so"
+            text = (
+                f"pose: yaw turns clockwise, against the course over ground (they add up to {zero:.0f} deg, scatter"
+                f" {np.degrees(mirrored[1]):.0f} deg; expected the same course, counter-clockwise from x); {name}."
+                f" In the map give columns.yaw sign = -1 and a zero of {round(zero / 90) * 90:d} deg, in the unit of the file"
+            )
+            yield IMPORT, text
+            return
+        if scaled[1] < CLEAR and scaled[1] < off[1] / 3 and np.ptp(yaw) > 10 * turned and bounds.course < pi:
+            text = (
+                f"pose: yaw turns by {np.ptp(yaw):.3g} while the course turns by {turned:.2g} rad: it is in degrees."
+                ' In the map give columns.yaw unit = "deg"'
+            )
+            yield IMPORT, text
+            return
+    ahead = _swims_ahead(trial)
+    if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned and bounds.course < pi:
+        text = (
+            f"pose: yaw stays within {np.degrees(np.ptp(yaw)):.2g} deg while the course turns by {np.degrees(turned):.0f} deg: is"
+            " it the heading of the camera or of another body? Name another column, or leave the pose out"
+        )
+        yield USE, text
+        return
+    if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False:
+        return
+    message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
+    near = round(mean / 90) * 90
+    if turned > TURN and near and abs(mean - near) < NEAR:
+        yield IMPORT, f"{message}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
+        return
+    compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
+    if near and abs(mean - near) < NEAR:
+        cause = f"an offset (give columns.yaw a zero that is {-near:d} deg more)"
+    elif abs(compass) < NEAR and mirrored[1] < CLEAR:
+        cause = "a compass heading, clockwise from north (give columns.yaw sign = -1 and a zero of 90 deg)"
+    else:
+        cause = "another zero of the heading"
+    yield NOTE, f"{message}: {cause}, or a current carries it"
+
+
+def handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    """Findings on the recoil of the head, which swings against the tail."""
+    if trial.value("medium") == "air" or "pose" not in trial.tables or any(heading(trial, bounds)):
+        return
+    pose, measured = trial.tables["pose"], "joint" in trial.tables
+    bent = trial.tables.get("joint", trial.tables.get("cmd", {}))
+    angles = stacked(bent, "j#" if measured else "c#") if bent else np.zeros((0, 0))
+    if min(len(pose["t"]), len(angles)) < 20 or float(np.median(np.diff(pose["t"]))) > 0.1 or not angles.shape[1]:
+        return
+    grid = common_clock(bent["t"], pose["t"])
+    if len(grid) < 2.0 / GRID:
+        return
+    tail = np.interp(grid, bent["t"], angles.sum(1))
+    yaw = np.interp(grid, pose["t"], np.unwrap(np.asarray(pose["yaw"], float)))
+    swing, turn = (_fast(np.gradient(_mean_over(_mean_over(x, 5), 5), GRID)) for x in (tail, yaw))
+    if np.std(swing) < BEAT:
+        return
+    found = [correlation(*delayed(swing, turn, lag)) for lag in (SEEN if measured else FOLLOWS)]
+    if max(found) > bounds.hand and min(found) > -OTHER:
+        text = (
+            f"pose: the head swings with the tail (correlation {max(found):.2f}), a swimming body recoils against it: the"
+            " camera's picture is mirrored or a frame counts z down (give columns.y and columns.yaw sign = -1 in the map), yaw"
+            " alone counts clockwise (sign = -1), or all joints count the other way (sign = -1 for each c and j)"
+        )
+        yield USE, text
+
+
+# ---------------------------------------------------------------------------------------------------------------------- helpers
+def common_clock(*stamps: np.ndarray) -> np.ndarray:
+    """Common clock of several tables; empty where they do not overlap."""
+    start = max(float(t[0]) for t in stamps)
+    return np.arange(start, min(start + LONGEST, *(float(t[-1]) for t in stamps)), GRID)
+
+
+def delayed(early: np.ndarray, late: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+    """Both channels at equal times, the second `lag` s later."""
+    rows = round(lag / GRID)
+    return early[: len(early) - rows], late[rows:]
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Correlation coefficient; 0 if either channel is constant."""
+    scale = float(np.std(a) * np.std(b))
+    return float(np.mean((a - a.mean()) * (b - b.mean()))) / scale if scale > 0 else 0.0
+
+
+def _mean_over(x: np.ndarray, rows: int) -> np.ndarray:
+    """Moving mean, edges repeated."""
+    return np.convolve(np.pad(x, (rows // 2, rows - 1 - rows // 2), "edge"), np.ones(rows) / rows, "valid")
+
+
+def _fast(x: np.ndarray) -> np.ndarray:
+    """Part of x within a beat: turns and drifts are removed."""
+    return x - _mean_over(x, round(1.5 / GRID))
+
+
+def _relation(angle: np.ndarray) -> tuple[float, float]:
+    """Circular mean and scatter of angles, rad."""
+    mean = complex(np.mean(np.exp(1j * angle)))
+    return phase(mean), sqrt(max(-2 * log(max(abs(mean), 1e-9)), 0.0))
+
+
+def _swims_ahead(trial: Trial) -> bool | None:
+    """Returns True if a wave runs down the tail and bends it equally to both sides; None if no joint is logged."""
+    table, letter = next(((trial.tables[n], c) for n, c in (("joint", "j#"), ("cmd", "c#")) if n in trial.tables), (None, ""))
+    if table is None:
+        return None
+    q = stacked(table, letter)
+    if len(q) < 3:
+        return False
+    swing = np.std(q, axis=0)
+    if not q.shape[1] or np.max(swing) < DRIVEN or np.any(np.abs(q.mean(0)) > np.max(swing)):
+        return False
+    if q.shape[1] == 1:
+        return True
+    first, last = q[:, 0] - q[:, 0].mean(), q[:, -1] - q[:, -1].mean()
+    rate = [np.gradient(x, np.asarray(table["t"], float)) for x in (first, last)]
+    lag = np.mean(first * rate[1] - rate[0] * last) / max(np.std(first) * np.std(rate[1]), np.std(last) * np.std(rate[0]), 1e-12)
+    return bool(lag > 0.3)  # twice the sine of the lag, of one beat
+
+
+def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
+    """Course through the water and mean yaw, rad, over 1 s each, while the fish swims; None if few, or in an unknown stream."""
+    pose, unknown = trial.tables.get("pose", {}), trial.value("flow.known") is False
+    if unknown or len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
+        return None
+    begin, moved = drifts(pose)
+    if len(begin) < FEWEST:
+        return None
+    stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
+    speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
+    t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
+    total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
+    vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
+    mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE
+    pace = np.hypot(vx, vy)
+    moving = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
+    return (np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
+
+
+def drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Begins (K,) s of stretches of `PACE`, and the mean velocities (2, K) m/s over ground in them."""
+    t = np.asarray(pose["t"], float)
+    begin = np.arange(t[0], min(t[-1], t[0] + LONGEST) - PACE, APART)
+    return begin, np.array([np.interp(begin + PACE, t, pose[k]) - np.interp(begin, t, pose[k]) for k in "xy"]) / PACE
