@@ -188,9 +188,48 @@ def test_noise_quick_turns_and_fixes_that_hold_are_no_lost_poses():
 @pytest.mark.parametrize("name", ["swim_gait_1", "water_square_1", "swim_gait_slow_2"])
 def test_a_mirrored_camera_shows_in_straight_swims(name):
     mirrored = changed(shipped(name), "pose", y=lambda v: -v, yaw=lambda v: -v)
-    assert levels(mirrored) == {"handedness": physical_checks.USE}
+    assert levels(mirrored) == {"handedness": physical_checks.USE} and "half a beat late" in names(mirrored)["handedness"]
     without = replace(mirrored, tables={k: v for k, v in mirrored.tables.items() if k != "joint"})
     assert levels(without) == {"handedness": physical_checks.USE}, "commands alone tell it as well"
+
+
+def rejoined(trial: Trial, order: tuple[int, ...], sign: tuple[int, ...] = (1, 1, 1)) -> Trial:
+    """A trial whose columns of joints, commanded and measured, are exchanged or count the other way."""
+    at = {n: trial.tables[n] for n in ("cmd", "joint")}
+    new = {n: {"t": c["t"], **{f"{n[0]}{k + 1}": sign[k] * c[f"{n[0]}{o}"] for k, o in enumerate(order)}} for n, c in at.items()}
+    return replace(trial, tables={**trial.tables, **new})
+
+
+@pytest.mark.parametrize("trial", [turning(), shipped("swim_gait_1"), shipped("swim_gait_slow_2")])
+def test_a_wave_that_runs_to_the_head_of_a_fish_that_swims_ahead_shows(trial):
+    tail_first = names(rejoined(trial, (3, 2, 1)))["wave"]
+    assert "its wave runs to the head (j2 5" in tail_first and "deg before j1" in tail_first
+    assert levels(rejoined(trial, (3, 2, 1))) == levels(rejoined(trial, (1, 2, 3), (1, -1, 1))) == {"wave": physical_checks.USE}
+    for part in (rejoined(trial, (2, 1, 3)), rejoined(trial, (1, 2, 3), (1, 1, -1))):
+        assert levels(part) == {"wave": physical_checks.NOTE}, "between two of the joints it runs to the tail"
+
+
+def test_one_joint_a_short_log_or_joints_in_step_tell_no_wave():
+    back = rejoined(turning(), (3, 2, 1))
+    short = {n: {c: v[:125] for c, v in columns.items()} for n, columns in back.tables.items()}
+    one = {**back.tables, "cmd": {"t": back.tables["cmd"]["t"], "c1": back.tables["cmd"]["c1"]}}
+    one["joint"] = {"t": back.tables["joint"]["t"], "j1": back.tables["joint"]["j1"]}
+    step = changed(back, "joint", **{f"j{k}": lambda v: back.tables["joint"]["j1"] for k in (1, 2, 3)})
+    for trial in (replace(back, tables=short), replace(back, tables=one), step):
+        assert "wave" not in names(trial)
+    assert names(replace(back, meta={**back.meta, "plausible": {"wave": 1.1}})) == {}
+
+
+@pytest.mark.parametrize("joints", [0, 1, 3])
+def test_a_heading_turned_round_shows_in_a_turn_with_side_slip(joints):
+    trial = turning(rate=0.6)
+    keep = {n: {c: v for c, v in trial.tables[n].items() if c == "t" or int(c[1:]) <= joints} for n in ("cmd", "joint")}
+    bent = {n: {c: v + 0.5 * (c != "t") for c, v in columns.items()} for n, columns in keep.items()}
+    slipping = replace(trial, tables={**(bent if joints else {}), "pose": trial.tables["pose"]})
+    slipping = changed(slipping, "pose", yaw=lambda v: v + 0.55)
+    assert names(slipping) == {}
+    reversed_ = changed(slipping, "pose", yaw=lambda v: v + np.pi)
+    assert levels(reversed_)["heading"] == "import" and "the heading is offset" in names(reversed_)["heading"]
 
 
 def test_a_straight_swim_beside_its_heading_is_noted_not_refused():

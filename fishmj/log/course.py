@@ -1,7 +1,7 @@
 """Physical checks of the course: where the fish goes against where its camera says that it heads, and how its body swings.
 
-`heading` and `handedness` are rows of `physical_checks.CHECKS`; each yields (level, text) of a trial. The comparisons of two
-channels on a common clock stand here too.
+`heading`, `handedness` and `wave` are rows of `physical_checks.CHECKS`; each yields (level, text) of a trial. The comparisons of
+two channels on a common clock stand here too.
 """
 
 from cmath import phase
@@ -10,7 +10,7 @@ from math import log, pi, sqrt
 
 import numpy as np
 
-from fishmj.log.trial import Trial, stacked
+from fishmj.log.trial import Table, Trial, stacked
 from fishmj.log.trial_check import Plausible
 from fishmj.log.unread_rows import is_sound
 
@@ -25,7 +25,9 @@ OTHER = 0.4  # correlation of the opposite sign from which the sign is not told
 PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of them
 TURN = 0.5  # rad that a course must turn through before a heading's sense is told
 CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
-FEWEST = 8  # courses
+FEWEST, MOSTLY = 8, 0.9  # courses; share of them within 60 deg of ahead, or of astern
+BEATS, SWING, ALIKE = 3.0, 0.02, 0.7  # of a wave; rad, deviation of its joints; how much of one joint's beat its neighbour shows
+DOWN = 0.15  # mean sine of the lag from one joint to the next from which the wave runs to the tail
 NEAR = 20.0  # deg from a quarter turn that still is one
 NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
 
@@ -46,7 +48,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     found = _courses(trial)
     if found is None:
         return
-    course, yaw = found
+    begin, course, yaw = found
     turned = float(np.ptp(np.unwrap(course)))
     off, mirrored = _relation(course - yaw), _relation(course + yaw)
     scaled = _relation(course - np.radians(yaw))
@@ -69,7 +71,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             )
             yield IMPORT, text
             return
-    ahead = _swims_ahead(trial)
+    ahead = _swims_ahead(trial, begin)
     if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned and bounds.course < pi:
         text = (
             f"pose: yaw stays within {np.degrees(np.ptp(yaw)):.2g} deg while the course turns by {np.degrees(turned):.0f} deg: is"
@@ -77,11 +79,13 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         )
         yield USE, text
         return
-    if abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False:
+    astern = abs(off[0]) > bounds.course and off[1] < 2 * CLEAR and float(np.mean(np.cos(course - yaw) < -0.5)) >= MOSTLY
+    astern &= turned > TURN and _swims_ahead(trial, begin, bent=True) is not False  # in a turn a fish slips to the side
+    if not astern and (abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False):
         return
     message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
-    near = round(mean / 90) * 90
-    if turned > TURN and near and abs(mean - near) < NEAR:
+    near = 180 if astern else round(mean / 90) * 90
+    if astern or (turned > TURN and near and abs(mean - near) < NEAR):
         yield IMPORT, f"{message}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
         return
     compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
@@ -116,9 +120,30 @@ def handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         text = (
             f"pose: the head swings with the tail (correlation {max(found):.2f}), a swimming body recoils against it: the"
             " camera's picture is mirrored or a frame counts z down (give columns.y and columns.yaw sign = -1 in the map), yaw"
-            " alone counts clockwise (sign = -1), or all joints count the other way (sign = -1 for each c and j)"
+            " alone counts clockwise (sign = -1), all joints count the other way (sign = -1 for each c and j), or the pose"
+            " is stamped half a beat late (compare the clocks at one sharp move)"
         )
         yield USE, text
+
+
+def wave(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    """Findings on a body wave that runs to the head of a fish that swims ahead: between all joints, or between two of them."""
+    found = _courses(trial)
+    if found is None or trial.value("medium") == "air" or any(heading(trial, bounds)):
+        return
+    begin, course, yaw = found
+    letter = "j" if "joint" in trial.tables else "c"
+    lag, alike = _phase_lags(trial, begin)
+    back = np.flatnonzero((np.sin(lag) < -bounds.wave) & (alike > ALIKE))
+    if not len(back) or float(np.mean(np.cos(course - yaw) > 0.5)) < MOSTLY:
+        return
+    early = ", ".join(f"{letter}{k + 2} {-np.degrees(lag[k]):.0f} deg before {letter}{k + 1}" for k in back[:3])
+    text = (
+        f"{'joint' if letter == 'j' else 'cmd'}: the fish swims ahead, but its wave runs to the head ({early}; expected: behind):"
+        " are columns of joints reversed or exchanged (change them over in the map), does a joint count the other way (sign = -1"
+        " for its c and j), or does a current carry the fish (state flow)?"
+    )
+    yield (USE if len(back) == len(lag) else NOTE), text
 
 
 # ---------------------------------------------------------------------------------------------------------------------- helpers
@@ -156,27 +181,60 @@ def _relation(angle: np.ndarray) -> tuple[float, float]:
     return phase(mean), sqrt(max(-2 * log(max(abs(mean), 1e-9)), 0.0))
 
 
-def _swims_ahead(trial: Trial) -> bool | None:
-    """Returns True if a wave runs down the tail and bends it equally to both sides; None if no joint is logged."""
-    table, letter = next(((trial.tables[n], c) for n, c in (("joint", "j#"), ("cmd", "c#")) if n in trial.tables), (None, ""))
+def _swims_ahead(trial: Trial, begin: np.ndarray, bent: bool = False) -> bool | None:
+    """Returns True if a wave runs down the tail and bends it equally to both sides; None if no joint is logged.
+
+    Args:
+        begin: starts of the stretches under way. bent: a tail that bends more to one side counts too.
+    """
+    table, letter = _bends(trial)
     if table is None:
         return None
     q = stacked(table, letter)
     if len(q) < 3:
         return False
     swing = np.std(q, axis=0)
-    if not q.shape[1] or np.max(swing) < DRIVEN or np.any(np.abs(q.mean(0)) > np.max(swing)):
+    if not q.shape[1] or np.max(swing) < DRIVEN or (not bent and np.any(np.abs(q.mean(0)) > np.max(swing))):
         return False
-    if q.shape[1] == 1:
-        return True
-    first, last = q[:, 0] - q[:, 0].mean(), q[:, -1] - q[:, -1].mean()
-    rate = [np.gradient(x, np.asarray(table["t"], float)) for x in (first, last)]
-    lag = np.mean(first * rate[1] - rate[0] * last) / max(np.std(first) * np.std(rate[1]), np.std(last) * np.std(rate[0]), 1e-12)
-    return bool(lag > 0.3)  # twice the sine of the lag, of one beat
+    lag, alike = _phase_lags(trial, begin)
+    return q.shape[1] == 1 or bool(len(lag) and np.mean(alike * np.sin(lag)) > DOWN)
 
 
-def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
-    """Course through the water and mean yaw, rad, over 1 s each, while the fish swims; None if few, or in an unknown stream."""
+def _bends(trial: Trial) -> tuple[Table | None, str]:
+    """Table of the measured joints, or else of the commanded ones, and the template of its angles."""
+    return next(((trial.tables[n], c) for n, c in (("joint", "j#"), ("cmd", "c#")) if n in trial.tables), (None, ""))
+
+
+def _phase_lags(trial: Trial, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(J - 1,) phase lag [rad] of each joint behind the one before, and likeness of the two beats, 0 to 1; empty without a beat.
+
+    Args:
+        begin: starts [s] of the stretches under way, each of `PACE`; the others are left out.
+
+    For a = A sin(wt) and b = B sin(wt - lag): mean(a b' - a' b) = A B w sin(lag), mean(a b) = A B cos(lag) / 2.
+    """
+    table, letter = _bends(trial)
+    q = stacked(table, letter) if table else np.zeros((0, 0))
+    grid = common_clock(table["t"], trial.tables["pose"]["t"]) if table and len(q) > 2 and q.shape[1] > 1 else np.zeros(0)
+    row = np.searchsorted(begin, grid, side="right") - 1
+    way = (row >= 0) & (grid - begin[row] < PACE)
+    if table is None or way.sum() * GRID < 2 * PACE:
+        return np.zeros(0), np.zeros(0)
+    x = np.stack([_fast(_mean_over(np.interp(grid, table["t"], angle), 5)) for angle in q.T])
+    x, rate = x[:, way], np.gradient(x, GRID, axis=1)[:, way]
+    swing, speed = np.std(x, axis=1), np.std(rate, axis=1)
+    if swing.min() < SWING or np.median(speed / swing) / (2 * pi) * way.sum() * GRID < BEATS:
+        return np.zeros(0), np.zeros(0)
+    across = np.mean(x[:-1] * rate[1:] - rate[:-1] * x[1:], axis=1) / 2 / np.sqrt(swing[:-1] * swing[1:] * speed[:-1] * speed[1:])
+    along = np.mean(x[:-1] * x[1:], axis=1) / (swing[:-1] * swing[1:])
+    return np.arctan2(across, along), np.hypot(across, along)
+
+
+def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Starts [s] of stretches of `PACE` in which the fish swims, course through the water and mean yaw [rad] in each.
+
+    None if there are few, or in an unknown stream.
+    """
     pose, unknown = trial.tables.get("pose", {}), trial.value("flow.known") is False
     if unknown or len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
         return None
@@ -191,7 +249,7 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray] | None:
     mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE
     pace = np.hypot(vx, vy)
     moving = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
-    return (np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
+    return (begin[moving], np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
 
 
 def drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:

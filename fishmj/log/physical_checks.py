@@ -16,6 +16,7 @@ command) passes.
     joint order     two joints that follow each other's commands
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body
     handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
+    wave            the body wave of a fish that swims ahead runs to its tail
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -41,6 +42,7 @@ from fishmj.log.course import (
     drifts,
     handedness,
     heading,
+    wave,
 )
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
@@ -308,8 +310,11 @@ CHECKS = (
     PhysicalCheck("joint order", "two joints follow each other's commands and not their own", "against", _joint_order),
     PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", heading),
     PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", handedness),
+    PhysicalCheck("wave", "sine of the lag from joint to joint of a fish that swims ahead, negative", "wave", wave),
 )
-JOINTS = tuple(check.name for check in CHECKS if check.name not in ("lost pose", "heading", "handedness"))  # need no camera
+JOINTS = tuple(
+    check.name for check in CHECKS if check.name not in ("lost pose", "heading", "handedness", "wave")
+)  # need no camera
 
 
 # ----------------------------------------------------------------------------------------------------------------- helpers

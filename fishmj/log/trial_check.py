@@ -65,6 +65,7 @@ class Plausible:
     against: float  # correlation
     course: float  # rad
     hand: float  # correlation
+    wave: float  # sine of a phase
     leap: float  # m/s, of a pose that comes back
     alternate: float  # distance between two sources over that within each
     gain: float  # movement of a joint over that of its command
