@@ -1,5 +1,6 @@
 """Physical checks: what no swimming robot does is found, what every robot does passes."""
 
+from argparse import Namespace
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import LogError
+from fishmj.gap.calibrate.commands import open_logs
 from fishmj.gap.commands.admission import admitted, unphysical
 from fishmj.gap.records.datasets import readable_trials
 from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, write_dataset, write_trial
@@ -350,4 +352,17 @@ def test_a_search_leaves_failed_reads_out_with_a_note(tmp_path):
     given, notes = admitted(data, load_robot("fish"), "fish", agreed=False)
     assert len(given.trials["a"].tables["joint"]["t"]) < len(bad.tables["joint"]["t"])
     assert any(note.startswith("a: joint:") and "failed reads of j2" in note for note in notes)
-    assert unphysical(given.trials.values()) == ""
+    assert unphysical(given.trials.values()) == ([], [])
+
+
+def test_doubts_about_a_log_are_printed_and_refuse_no_comparison(tmp_path, capsys):
+    doubted = changed(shipped("swim_gait_1"), "pose", yaw=lambda v: v + np.pi)
+    certain = mirrored(shipped("swim_gait_2"))
+    (breach,), (doubt,) = unphysical([doubted, certain])
+    assert "swim_gait_1: pose: the fish moves 180 deg off" in doubt and "swim_gait_2: pose: the head swings" in breach
+    data = saved(tmp_path / "data", replace(doubted, name="a"), replace(shipped("swim_gait_2"), name="b"))
+    _, notes = admitted(data, load_robot("fish"), "fish", agreed=False)
+    assert any("trial a: pose: the fish moves 180 deg off" in note for note in notes)
+    assert "or a current carries it" in capsys.readouterr().err
+    logs = open_logs(Namespace(data=data, model="fish", same_robot=False), load_robot("fish"))
+    assert "or a current carries it" in capsys.readouterr().err and any("trial a: pose" in note for note in logs.notes)

@@ -71,11 +71,12 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     if not trials:
         raise LogError(f"{args.data}: no trial can be compared; {next(iter(broken.values()))}")
     whose = of_this_robot(trials.values(), robot, args.model, args.same_robot)
-    for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose):
+    breaches, doubts = unphysical(trials.values(), only)
+    for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose, *doubts):
         console.warn(note)
-    if wrong := unphysical(trials.values(), only):
-        raise LogError(f"{args.data}: {wrong}")
-    return Logs(logs.folder, trials, broken, (*logs.notes, *whose))
+    if breaches:
+        raise LogError(f"{args.data}: {'; '.join(breaches)}")
+    return Logs(logs.folder, trials, broken, (*logs.notes, *whose, *doubts))
 
 
 def open_bench_logs(args, robot: Robot) -> tuple[Logs, ServoStand]:

@@ -73,31 +73,33 @@ def admitted(
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
     notes = (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose)
+    breaches, doubts = unphysical(given.trials.values())
+    notes = (*notes, *(breaches if anyway else ()), *doubts)
     for note in notes:
         console.warn(note)
-    if not anyway and (wrong := unphysical(given.trials.values())):
-        message = f"{data}: {wrong}"
+    if breaches and not anyway:
+        message = f"{data}: {'; '.join(breaches)}"
         if not console.confirmed(f"{message}. Search all the same?"):
             raise LogError(f"{message}. Search all the same with --anyway")
     return given, notes
 
 
-def unphysical(trials: Iterable[Trial], only: Iterable[str] = ()) -> str:
-    """Breaches of the physical checks that forbid a comparison with a model, in one line; "" without any.
+def unphysical(trials: Iterable[Trial], only: Iterable[str] = ()) -> tuple[list[str], list[str]]:
+    """(Breaches of the physical checks, which forbid a comparison with a model; doubts, which do not), a line for each check.
 
     only: names of checks; all by default.
     """
-    found: dict[str, list[tuple[str, str]]] = {}
+    found: dict[tuple[bool, str], list[tuple[str, str]]] = {}
     for trial in trials:
         for finding in physical_checks.examine(trial, only):
-            if finding.level != physical_checks.NOTE:
-                found.setdefault(finding.check, []).append((trial.name, finding.text))
-    lines = []
-    for told in found.values():
+            doubt = finding.level == physical_checks.NOTE
+            found.setdefault((doubt, finding.check), []).append((trial.name, finding.text))
+    lines: tuple[list[str], list[str]] = ([], [])
+    for (doubt, _), told in found.items():
         names = list(dict.fromkeys(name for name, _ in told))
         more = f" (and {len(names) - 1} more trials: {', '.join(names[1:4])}{', ..' if len(names) > 4 else ''})"
-        lines.append(f"trial {names[0]}: {told[0][1]}{more if len(names) > 1 else ''}")
-    return "; ".join(lines)
+        lines[doubt].append(f"trial {names[0]}: {told[0][1]}{more if len(names) > 1 else ''}")
+    return lines
 
 
 def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: bool = False) -> list[str]:
