@@ -65,6 +65,38 @@ def test_time_in_ms_in_one_file_and_in_s_in_another_is_asked(tmp_path, bring):
     assert code == 2 and "tue.csv alone reads as ms" in err
 
 
+@pytest.mark.parametrize(
+    ("clocks", "told"),
+    [
+        ({"time": T, "stamp_ms": 1.7e12 + 1.01e3 * T}, "2 columns of time, up to 0.02 s apart"),
+        ({"time_s": T, "stamp": 1.7e9 + T + 0.008 * np.sin(7 * T)}, "2 columns of time, up to 0.016 s apart"),
+        ({"time_ms": 1e3 * T, "camera_time": T + 0.05}, "2 columns of time, one of the camera"),
+    ],
+)
+def test_two_clocks_in_one_table_are_asked(tmp_path, bring, clocks, told):
+    place = {"x_m": 0.1 * T, "y_m": 0.0 * T, "yaw_deg": 9 * np.sin(6 * T)}
+    lab_files.write(tmp_path / "in" / "a.csv", {**clocks, **servos(unit="_rad"), **place})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    one, other = clocks
+    assert code == 2 and told in err and f"--set {one}=t:" in err and f"--set {other}=t:" in err and "COLUMN=skip" in err
+    assert bring(tmp_path / "in", "--yes", "--set", f"{one}=t")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "clocks",
+    [
+        {"time_s": T, "stamp": 1.7e9 + np.round(T, 3)},
+        {"time_ms": np.round(1e3 * T), "stamp": 1.7e9 + np.floor(T)},  # whole seconds
+        {"time_s": T + 0.003 * np.sin(T), "tick": N},
+        {"time_us": 1e6 * T, "t": T},
+    ],
+)
+def test_one_clock_in_two_columns_is_read_unasked(tmp_path, bring, clocks):
+    lab_files.write(tmp_path / "in" / "a.csv", {**clocks, **servos(unit="_rad")})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 0, err
+
+
 def test_a_file_in_which_the_joint_rests_does_not_raise_the_question(tmp_path, bring):
     noise = 0.3 * np.random.default_rng(1).standard_normal(len(N))  # deg
     for name, values in (("mon", np.degrees(SWING[0])), ("tue", noise)):

@@ -92,6 +92,7 @@ STRAIGHT = 0.35  # a heading that stays within is rad whatever its name says: in
 TICKS = "Say the scale here, or the scale and zero in a map"
 APART = (20.0, 170.0)  # times that two joints' largest angles differ when one is in rad, one in deg: 57.3, and 3 either way
 SHORT = 2e-4  # s; a median step below is a rate that no servo, camera or battery has
+CLOCKS = 2e-3  # s by which two columns of one clock differ in a row
 LEAST, SLIM = 0.002, 1 / 300  # m that a swim spans on either axis at least, and its share of the other's
 STIRS = 0.1  # rad or deg that a moving joint or heading leaves its middle by
 SUPPLY = 36.0  # V; a robot's supply is below
@@ -149,6 +150,24 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
         unit for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if 1e-4 * scale <= middle <= 100 * scale
     ]
     return "", f"steps of {middle:.4g} may be {' or '.join(allowed) or 'none of s, ms, us, ns'}"
+
+
+def clocks_apart(one: np.ndarray, other: np.ndarray, units: tuple[str, str]) -> float:
+    """Largest change [s] of the difference of two columns of stamps; 0 within their rounding, or if one counts rows or rests.
+
+    A column of an unknown unit is taken to last as long as the other.
+    """
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < 2 or not np.ptp(one[both]) * np.ptp(other[both]):
+        return 0.0
+    t = [(v[both] - v[both][0]) * UNITS.get(unit, ("", 1.0))[1] for v, unit in zip((one, other), units, strict=True)]
+    for mine, their, unit in ((0, 1, units[0]), (1, 0, units[1])):
+        if not unit and np.ptp(np.diff(t[mine])) == 0:
+            return 0.0
+        t[mine] = t[mine] if unit else t[mine] * float(np.ptp(t[their]) / np.ptp(t[mine]))
+    rounding = (next((q for q in (60.0, 1.0, 0.1, 0.01) if np.abs(v / q - np.round(v / q)).max() < 1e-3), 0.0) for v in t)
+    apart = float(np.ptp(t[0] - t[1]))
+    return apart if apart > CLOCKS + sum(rounding) else 0.0
 
 
 def angle_unit(values: np.ndarray) -> tuple[str, str]:

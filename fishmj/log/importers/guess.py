@@ -353,6 +353,15 @@ def _of_header(tied: list[int], guesses: list[Guess], kind: FileKind) -> list[in
     return header_ if len(header_) == 1 else whole
 
 
+def _other_clock(kind: FileKind, one: Guess, other: Guess) -> str:
+    """Difference of two columns of stamps in words; "" if they are of one clock."""
+    both = [(sheet.columns[one.column], sheet.columns[other.column]) for sheet in kind.sheets[:16]]
+    apart = max(column_units.clocks_apart(*stamps, (one.unit, other.unit)) for stamps in both)
+    camera = header.parse(one.column).has(header.CAMERA) != header.parse(other.column).has(header.CAMERA)
+    told = f", up to {apart:.2g} s apart" if apart else ", one of the camera" if camera else ""
+    return f"{told} (in a map each table may have its own)" if told else ""
+
+
 def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     """Leaves one column for each place: two for one place are unclear. Of several stamps, the clearest name decides."""
     out = list(guesses)
@@ -365,11 +374,16 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
         if len(stamps) > 1:
             rank = [(not out[i].said, out[i].state != TAKEN, header.parse(out[i].column).unit == "", i) for i in stamps]
             best = min(rank)
+            lower = [r[-1] for r in rank if r[:-1] > best[:-1]]
             tied = _of_header([r[-1] for r in rank if r[:-1] == best[:-1]], out, found[k])
             best = next((r for r in rank if tied == [r[-1]]), best)
+            others = {i: "" if out[best[-1]].said else _other_clock(found[k], out[best[-1]], out[i]) for i in lower}
+            tied += [i for i in lower if others[i]]
             for i in stamps:
                 if len(tied) > 1 and i in tied:
-                    out[i] = out[i].unclear(f"{len(tied)} columns of time: which stamps the row?")
+                    out[i] = out[i].unclear(
+                        f"{len(tied)} columns of time{max(others.values(), default='')}: which stamps the row?"
+                    )
                 elif i != best[-1]:
                     out[i] = out[i].left("another column of time is taken")
     places: dict[str, list[int]] = {}
