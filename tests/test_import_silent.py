@@ -281,6 +281,18 @@ def test_of_a_camera_slower_than_its_log_each_value_is_read_once(tmp_path, bring
     near(pose["yaw"], np.radians(swim(pose["t"])["yaw_deg"]), late)
 
 
+@pytest.mark.parametrize("between", [[0.033, 0.033, 0.2], [0.02, 0.04, 0.06], [0.04, 0.16]])
+def test_of_a_camera_whose_frames_come_irregularly_each_value_is_read_once(tmp_path, bring, between):
+    t = 0.02 * np.arange(500)
+    frames = np.r_[0, np.cumsum(np.random.default_rng(2).choice(between, 400))]
+    shown = np.searchsorted(frames, t, side="right") - 1  # the frame that a row repeats
+    swim = lambda t: {"x_m": 0.1 * t, "y_m": 0.05 * np.cos(2 * t), "yaw_deg": 20 * np.sin(4 * t)}
+    lab_files.write(tmp_path / "in" / "swim.csv", {"time_s": t, **swim(frames[shown])})
+    code, out, err = bring(tmp_path / "in", "--yes")
+    assert code == 0 and "its first row is kept" in out + err
+    near(only(tmp_path / "set").tables["pose"]["t"], t[np.unique(shown, return_index=True)[1]])
+
+
 @pytest.mark.parametrize("rests", [False, True])
 def test_coarse_numbers_of_a_slow_fish_and_rests_keep_every_row(tmp_path, bring, rests):
     t = 0.02 * np.arange(500)

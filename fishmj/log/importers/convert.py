@@ -29,6 +29,11 @@ FEW = 3  # times that a clock which was set goes back; rows that are mixed do so
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
+LONG, SINGLE, TOGETHER = (
+    5,
+    0.6,
+    0.75,
+)  # usual runs, which are a rest; share of runs of one row; of rows that change, for irregular frames
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -228,7 +233,8 @@ def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
     """Rows in which a sensor that is slower than its log has a new value, with a note; all rows of any other table.
 
     A camera's 10 poses a second, written into 50 rows, are each up to 0.1 s old. Values that stand for about the same number of
-    rows tell such a log from a robot at rest and from coarse numbers. In a rest, rows are kept at the sensor's rate.
+    rows, or columns that change in the same rows, tell such a log from a robot at rest and from coarse numbers. In a rest, rows
+    are kept at the sensor's rate.
     """
     every = np.arange(len(columns["t"]))
     if table == "cmd" or not table_spec(table).continuous:
@@ -239,12 +245,22 @@ def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
     if len(length) < REPEATS or len(starts) > (1 - SLOWER) * len(every):
         return every, []
     mean = float(length[length <= 2 * np.median(length)].mean())
-    if mean < 1 / (1 - SLOWER) or np.mean(np.abs(length - mean) <= SPREAD) < ALIKE:
-        return every, []
+    run = np.diff(np.append(starts, len(every)))[np.cumsum(new) - 1]  # rows of the value that stands in a row
+    rest = run > LONG * np.median(length)
+    irregular = bool(mean < 1 / (1 - SLOWER) or np.mean(np.abs(length - mean) <= SPREAD) < ALIKE)
+    if irregular:
+        steps = np.stack([np.abs(np.diff(v)) for c, v in columns.items() if c not in ("t", "t_rx", "seq") and np.ptp(v)])[
+            :, ~rest[1:]
+        ]
+        alone = 1 - np.prod(1 - np.mean(steps > 0, axis=1))  # share of rows with a change, did each column change by itself
+        coarse = all(np.median(step[step > 0]) < 1.5 * step[step > 0].min() for step in steps if step.any())
+        if coarse or np.mean(length == 1) > SINGLE or steps.any(axis=0).mean() > TOGETHER * alone:
+            return every, []
+        mean = float(length[length <= LONG * np.median(length)].mean())
     since = every - starts[np.cumsum(new) - 1]
-    fresh = np.flatnonzero(since % max(2, round(mean)) == 0)
-    period = float(np.median(np.diff(columns["t"])))
-    text = f"{table}: each value stands in {mean:.3g} rows: {1 / (mean * period):.3g} Hz written at {1 / period:.3g} Hz"
+    fresh = np.flatnonzero((since == 0) | rest & (since % max(2, round(mean)) == 0))
+    period, how = float(np.median(np.diff(columns["t"]))), ", at irregular instants" * irregular
+    text = f"{table}: each value stands in {mean:.3g} rows{how}: {1 / (mean * period):.3g} Hz written at {1 / period:.3g} Hz"
     return fresh, [f"{text}; its first row is kept, {len(fresh)} of {len(every)}"]
 
 
