@@ -350,6 +350,7 @@ def test_files_without_an_instant_in_common_are_refused_with_the_offset(tmp_path
     lab_files.write(tmp_path / "lab" / "camera.csv", {"time_s": 7200 + 0.02 * N, "x_m": WAVE, "y_m": WAVE})
     code, _, err = bring(tmp_path / "lab", "--yes")
     assert code == 2 and "(2 h apart: two time zones?). State the offset in a map, [tables.markers] offset = -7200" in err
+    assert "removes a true delay too" in err
 
 
 def test_parts_of_one_table_are_put_together_in_the_order_of_their_numbers(tmp_path, bring):

@@ -97,6 +97,7 @@ def test_a_drift_of_200_ppm_of_a_pure_delay_is_found_in_a_chirp():
 def test_a_constant_offset_of_a_clock_is_reported_with_the_map_key(shape, offset):
     found = timebase.offsets(servo_of(shape, offset=offset, seconds=20.0))
     assert len(found) == 1 and "[tables.joint] offset = " in found[0]
+    assert "remove the true delay" in found[0] and "state it as command_latency of the description" in found[0]
     assert float(found[0].split("offset = ")[1].split(",")[0]) == pytest.approx(-offset - 0.09, abs=0.05)
     assert found[0] in timebase.audit(servo_of(shape, offset=offset, seconds=20.0)).findings
 
@@ -113,12 +114,12 @@ def test_an_offset_of_the_camera_is_told_from_the_recoil_of_the_head():
     recoil = -0.1 * np.interp(t - 0.045, trial.tables["joint"]["t"], trial.tables["joint"]["j1"])
     trial.tables["pose"] = {"t": t + 1.73, "x": 0.1 * t, "y": 0 * t, "yaw": recoil}
     found = timebase.offsets(trial)
-    assert len(found) == 1 and "[tables.pose] offset = -1.7" in found[0]
+    assert len(found) == 1 and "[tables.pose] offset = -1.7" in found[0] and "state it as camera_latency" in found[0]
 
 
 def test_a_joint_that_moves_before_its_command_has_another_clock():
     findings = timebase.audit(planted(-0.19, shape="beat")).findings
-    assert any(f.startswith("joint moves 1") and "ms before cmd" in f for f in findings)
+    assert any(f.startswith("joint moves 1") and "ms before cmd" in f and "servo's true delay" in f for f in findings)
 
 
 def test_a_lag_is_not_claimed_between_channels_that_have_nothing_in_common():

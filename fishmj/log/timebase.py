@@ -42,6 +42,7 @@ STEADY = 0.01  # relative deviation over the windows below which frequency, ampl
 MOVING = 0.05  # of the median energy of a window; one with less tells no gain
 COUNTED = 5e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
 DRIFT = 5e-5  # s/s; less is what two quartz clocks do
+DELAYS = {"command_latency": "cmd", "camera_latency": "pose"}  # of a description's [timing]: the table that has it
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
 
 
@@ -150,10 +151,14 @@ def offsets(trial: Trial) -> list[str]:
     out = []
     for earlier, later, either in _pairs(trial):
         if found := offset_between(earlier, later, either_sign=either):
+            names = " and ".join(name for name, table in DELAYS.items() if table in (earlier[0], later[0]))
+            late = ", or a delay is that long" if found[0] > 0 else ""
             out.append(
                 f"{later[0]} is {abs(found[0]):.2f} s {'behind' if found[0] > 0 else 'ahead of'} {earlier[0]} by their motion, "
-                f"delays of servo and camera included (correlation {found[1]:.2f}): their clocks differ; state it in the map, "
-                f"[tables.{later[0]}] offset = {-found[0]:.2f}, and import again"
+                f"delays of servo and camera included (correlation {found[1]:.2f}): their clocks differ{late}; the map's "
+                f"[tables.{later[0]}] offset = {-found[0]:.2f}, and a new import, align them, and remove the true delay of "
+                f"sensor or command too: add what is known of it to the offset, or keep the stamps and state it as {names} of the"
+                " description"
             )
     return out
 
@@ -450,7 +455,10 @@ def _lag_findings(lags: list[Lag]) -> list[str]:
     out = []
     for lag in lags:
         if lag.found and (lag.earlier, lag.later) == ("cmd", "joint") and lag.high < EARLY:
-            out.append(f"joint moves {-1e3 * lag.lag:.0f} ms before cmd: one of the clocks is off; state its offset in the map")
+            out.append(
+                f"joint moves {-1e3 * lag.lag:.0f} ms before cmd: one of the clocks is off; state its offset in the map, that"
+                " lead and the servo's true delay, which a shift by the lead alone removes"
+            )
         if lag.found and not lag.ambiguous and (lag.drift_low > 0 or lag.drift_high < 0) and abs(lag.drift) > DRIFT:
             out.append(
                 f"{lag.later} drifts against {lag.earlier} by {1e3 * lag.drift:+.3f} ms/s: their clocks run at different rates"

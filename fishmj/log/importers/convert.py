@@ -400,7 +400,8 @@ def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
                 hours = f" ({round(apart / HOUR)} h apart: two time zones?)" if apart > 0.9 * HOUR else ""
                 raise LogError(
                     f"{name}: {early} ends at {end:.6g} s, {late} begins at {begin:.6g} s: they have no instant in common"
-                    f"{hours}. State the offset in a map, [tables.{late}] offset = {-apart:.6g}, or import one of them alone"
+                    f"{hours}. State the offset in a map, [tables.{late}] offset = {-apart:.6g}, with which both begin at"
+                    " once; it removes a true delay too, so mend it by an event that both saw; or import one of them alone"
                 )
 
 
