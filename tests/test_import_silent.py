@@ -262,6 +262,13 @@ def pose(held=False, turned=0.0):
     return log.Trial({}, {"pose": {"t": t, "x": x, "y": 0 * t, "yaw": turned + (0.1 * np.sin(6 * t) if not held else 0 * t)}})
 
 
+def test_positions_without_a_heading_are_noted_as_no_pose(tmp_path, bring):
+    lab_files.write(tmp_path / "in" / "a.csv", {"time_s": T, **servos(unit="_rad"), "x_m": 0.1 * T, "y_m": 0.0 * T})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 0, err
+    assert any("are points and no pose" in note for note in only(tmp_path / "set").meta["notes"])
+
+
 def test_a_tracker_that_stops_or_turns_the_fish_round_is_noted_without_joints():
     assert any("repeat their values" in f.text for f in physical_checks.examine(pose(held=True)))
     assert any("off its heading" in f.text for f in physical_checks.examine(pose(turned=np.pi)))

@@ -152,6 +152,20 @@ def test_what_no_swimming_robot_does_is_told_with_its_remedy(change, check, leve
     assert levels(bad).get(check) == level and said in names(bad)[check], names(bad)
 
 
+@pytest.mark.parametrize("late", [0, 3])
+def test_an_echo_of_the_commands_is_no_measurement_of_the_joints(late):
+    trial = turning()
+    sent = trial.tables["cmd"]
+    echo = changed(trial, "joint", j2=lambda v: np.r_[np.zeros(late), sent["c2"][: len(v) - late]])
+    assert levels(echo) == {"stale reading": physical_checks.NOTE} and "j2: equal to the command" in names(echo)["stale reading"]
+    assert names(replace(echo, meta={**echo.meta, "plausible": {"stale": 1.0}})) == {}
+
+
+def test_a_heading_that_never_changes_in_a_swim_is_doubted():
+    blank = changed(shipped("swim_gait_1"), "pose", yaw=lambda v: 0 * v + 0.1)
+    assert levels(blank)["heading"] == physical_checks.NOTE and "is the heading not measured?" in names(blank)["heading"]
+
+
 def test_exchanged_joints_follow_the_command_of_the_other():
     trial = turning()
     one, two = (trial.tables["joint"][name] for name in ("j1", "j2"))

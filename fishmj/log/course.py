@@ -79,6 +79,9 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         )
         yield USE, text
         return
+    if ahead and np.ptp(pose["yaw"]) == 0 and bounds.course < pi:
+        yield NOTE, f"pose: yaw is {yaw[0]:.3g} rad in every row while the fish beats and makes way: is the heading not measured?"
+        return
     astern = abs(off[0]) > bounds.course and off[1] < 2 * CLEAR and float(np.mean(np.cos(course - yaw) < -0.5)) >= MOSTLY
     astern &= turned > TURN and _swims_ahead(trial, begin, bent=True) is not False  # in a turn a fish slips to the side
     if not astern and (abs(off[0]) <= bounds.course or off[1] > CLEAR or ahead is False):

@@ -51,6 +51,7 @@ from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, is_logged, is_sou
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
 WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
 RELEASED = 0.02  # m from a pose that was held to the next one
+ECHO = 5  # rows by which an echo of a command is late, at most
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
@@ -211,7 +212,12 @@ def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausi
 
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     yield from _frozen_pose(trial, bounds)
-    table = trial.tables.get("joint", {})
+    table, cmd = trial.tables.get("joint", {}), trial.tables.get("cmd", {})
+    pairs = [(name, cmd[f"c{name[1:]}"], table[name]) for name in joints(table) if f"c{name[1:]}" in cmd]
+    echo = lambda c, j: np.ptp(c) > 2 * DRIVEN and any(np.array_equal(c[: len(c) - k], j[k:]) for k in range(ECHO))
+    if echoes := [name for name, c, j in pairs if len(j) > 50 and bounds.stale < 1 and echo(c, j)]:
+        text = f"joint: {', '.join(echoes)}: equal to the command to the last digit: an echo of it, no measurement? Leave it out"
+        yield NOTE, text
     names = joints(table)
     if len(names) < 2:
         return

@@ -69,6 +69,9 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
         if rest := [column for column in sheet.columns if column not in used]:
             more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
             notes.append(f"{sheet.name}: not read: {', '.join(bare(c) for c in rest[:8])}{more}")
+    if "markers" in found and "pose" not in found:
+        why = "positions without a heading are points and no pose, and no model is compared with points"
+        notes.append(f"markers: {why}; map the heading, columns.yaw of [tables.pose] or --set COLUMN=pose.yaw:UNIT")
     return trial_of(name, meta, found, notes, lambda table, doubt: _advised(table, doubt, wanted.tables[table]))
 
 
