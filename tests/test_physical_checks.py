@@ -231,6 +231,8 @@ def test_one_joint_a_short_log_or_joints_in_step_tell_no_wave():
     one = {**back.tables, "cmd": {"t": back.tables["cmd"]["t"], "c1": back.tables["cmd"]["c1"]}}
     one["joint"] = {"t": back.tables["joint"]["t"], "j1": back.tables["joint"]["j1"]}
     step = changed(back, "joint", **{f"j{k}": lambda v: back.tables["joint"]["j1"] for k in (1, 2, 3)})
+    held = changed(back, "joint", j2=lambda v: 0 * v)  # the two others still tell it
+    assert "j3 114 deg before j1" in names(replace(held, tables={n: c for n, c in held.tables.items() if n != "cmd"}))["wave"]
     for trial in (replace(back, tables=short), replace(back, tables=one), step):
         assert "wave" not in names(trial)
     assert names(replace(back, meta={**back.meta, "plausible": {"wave": 1.1}})) == {}

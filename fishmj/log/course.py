@@ -26,7 +26,7 @@ PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of th
 TURN = 0.5  # rad that a course must turn through before a heading's sense is told
 CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
 FEWEST, MOSTLY = 8, 0.9  # courses; share of them within 60 deg of ahead, or of astern
-BEATS, SWING, ALIKE = 3.0, 0.02, 0.7  # of a wave; rad, deviation of its joints; how much of one joint's beat its neighbour shows
+BEATS, SWING, ALIKE = 2.0, 0.02, 0.7  # of a wave; rad, deviation of its joints; how much of one joint's beat its neighbour shows
 DOWN = 0.15  # mean sine of the lag from one joint to the next from which the wave runs to the tail
 NEAR = 20.0  # deg from a quarter turn that still is one
 NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
@@ -136,11 +136,11 @@ def wave(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         return
     begin, course, yaw = found
     letter = "j" if "joint" in trial.tables else "c"
-    lag, alike = _phase_lags(trial, begin)
+    lag, alike, joint = _phase_lags(trial, begin)
     back = np.flatnonzero((np.sin(lag) < -bounds.wave) & (alike > ALIKE))
     if not len(back) or float(np.mean(np.cos(course - yaw) > 0.5)) < MOSTLY:
         return
-    early = ", ".join(f"{letter}{k + 2} {-np.degrees(lag[k]):.0f} deg before {letter}{k + 1}" for k in back[:3])
+    early = ", ".join(f"{letter}{joint[k + 1]} {-np.degrees(lag[k]):.0f} deg before {letter}{joint[k]}" for k in back[:3])
     text = (
         f"{'joint' if letter == 'j' else 'cmd'}: the fish swims ahead, but its wave runs to the head ({early}; expected: behind):"
         " are columns of joints reversed or exchanged (change them over in the map), does a joint count the other way (sign = -1"
@@ -199,7 +199,7 @@ def _swims_ahead(trial: Trial, begin: np.ndarray, bent: bool = False) -> bool | 
     swing = np.std(q, axis=0)
     if not q.shape[1] or np.max(swing) < DRIVEN or (not bent and np.any(np.abs(q.mean(0)) > np.max(swing))):
         return False
-    lag, alike = _phase_lags(trial, begin)
+    lag, alike, _ = _phase_lags(trial, begin)
     return q.shape[1] == 1 or bool(len(lag) and np.mean(alike * np.sin(lag)) > DOWN)
 
 
@@ -208,11 +208,11 @@ def _bends(trial: Trial) -> tuple[Table | None, str]:
     return next(((trial.tables[n], c) for n, c in (("joint", "j#"), ("cmd", "c#")) if n in trial.tables), (None, ""))
 
 
-def _phase_lags(trial: Trial, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(J - 1,) phase lag [rad] of each joint behind the one before, and likeness of the two beats, 0 to 1; empty without a beat.
+def _phase_lags(trial: Trial, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Phase lag [rad] of each moving joint behind the one before, likeness of the two beats, 0 to 1, and the joints' numbers.
 
     Args:
-        begin: starts [s] of the stretches under way, each of `PACE`; the others are left out.
+        begin: starts [s] of the stretches under way, each of `PACE`; the others are left out. Too few beats in them give no lag.
 
     For a = A sin(wt) and b = B sin(wt - lag): mean(a b' - a' b) = A B w sin(lag), mean(a b) = A B cos(lag) / 2.
     """
@@ -221,16 +221,16 @@ def _phase_lags(trial: Trial, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray
     grid = common_clock(table["t"], trial.tables["pose"]["t"]) if table and len(q) > 2 and q.shape[1] > 1 else np.zeros(0)
     row = np.searchsorted(begin, grid, side="right") - 1
     way = (row >= 0) & (grid - begin[row] < PACE)
-    if table is None or way.sum() * GRID < 2 * PACE:
-        return np.zeros(0), np.zeros(0)
+    if table is None or not way.any():
+        return np.zeros(0), np.zeros(0), np.zeros(0, int)
     x = np.stack([_fast(_mean_over(np.interp(grid, table["t"], angle), 5)) for angle in q.T])
     x, rate = x[:, way], np.gradient(x, GRID, axis=1)[:, way]
     swing, speed = np.std(x, axis=1), np.std(rate, axis=1)
-    if swing.min() < SWING or np.median(speed / swing) / (2 * pi) * way.sum() * GRID < BEATS:
-        return np.zeros(0), np.zeros(0)
+    moving = np.flatnonzero((swing > SWING) & (speed * way.sum() * GRID > BEATS * 2 * pi * swing))
+    x, rate, swing, speed = x[moving], rate[moving], swing[moving], speed[moving]
     across = np.mean(x[:-1] * rate[1:] - rate[:-1] * x[1:], axis=1) / 2 / np.sqrt(swing[:-1] * swing[1:] * speed[:-1] * speed[1:])
     along = np.mean(x[:-1] * x[1:], axis=1) / (swing[:-1] * swing[1:])
-    return np.arctan2(across, along), np.hypot(across, along)
+    return np.arctan2(across, along), np.hypot(across, along), moving + 1
 
 
 def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

@@ -318,9 +318,7 @@ CHECKS = (
     PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", handedness),
     PhysicalCheck("wave", "sine of the lag from joint to joint of a fish that swims ahead, negative", "wave", wave),
 )
-JOINTS = tuple(
-    check.name for check in CHECKS if check.name not in ("lost pose", "heading", "handedness", "wave")
-)  # need no camera
+JOINTS = tuple(check.name for check in CHECKS if check.find not in (_lost_poses, heading, handedness, wave))  # need no camera
 
 
 # ----------------------------------------------------------------------------------------------------------------- helpers

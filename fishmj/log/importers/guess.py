@@ -377,12 +377,12 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             lower = [r[-1] for r in rank if r[:-1] > best[:-1]]
             tied = _of_header([r[-1] for r in rank if r[:-1] == best[:-1]], out, found[k])
             best = next((r for r in rank if tied == [r[-1]]), best)
-            others = {i: "" if out[best[-1]].said else _other_clock(found[k], out[best[-1]], out[i]) for i in lower}
-            tied += [i for i in lower if others[i]]
+            clocks = {i: "" if out[best[-1]].said else _other_clock(found[k], out[best[-1]], out[i]) for i in lower}
+            tied += [i for i in lower if clocks[i]]
             for i in stamps:
                 if len(tied) > 1 and i in tied:
                     out[i] = out[i].unclear(
-                        f"{len(tied)} columns of time{max(others.values(), default='')}: which stamps the row?"
+                        f"{len(tied)} columns of time{max(clocks.values(), default='')}: which stamps the row?"
                     )
                 elif i != best[-1]:
                     out[i] = out[i].left("another column of time is taken")
