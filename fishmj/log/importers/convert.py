@@ -29,11 +29,8 @@ FEW = 3  # times that a clock which was set goes back; rows that are mixed do so
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
-LONG, SINGLE, TOGETHER = (
-    5,
-    0.6,
-    0.75,
-)  # usual runs, which are a rest; share of runs of one row; of rows that change, for irregular frames
+LONG = 5  # usual runs, which are a rest
+SINGLE, TOGETHER = 0.6, 0.75  # of irregular frames: largest share of runs of one row; of rows that change, to those by chance
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -252,9 +249,8 @@ def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
     rest = run > LONG * np.median(length)
     irregular = bool(mean < 1 / (1 - SLOWER) or np.mean(np.abs(length - mean) <= SPREAD) < ALIKE)
     if irregular:
-        steps = np.stack([np.abs(np.diff(v)) for c, v in columns.items() if c not in ("t", "t_rx", "seq") and np.ptp(v)])[
-            :, ~rest[1:]
-        ]
+        moving = [v for c, v in columns.items() if c not in ("t", "t_rx", "seq") and np.ptp(v)]
+        steps = np.abs(np.diff(np.stack(moving)))[:, ~rest[1:]]
         alone = 1 - np.prod(1 - np.mean(steps > 0, axis=1))  # share of rows with a change, did each column change by itself
         coarse = all(np.median(step[step > 0]) < 1.5 * step[step > 0].min() for step in steps if step.any())
         if coarse or np.mean(length == 1) > SINGLE or steps.any(axis=0).mean() > TOGETHER * alone:
