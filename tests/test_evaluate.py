@@ -290,7 +290,7 @@ def test_results_of_other_trials_cannot_be_compared():
     "wrong",
     [
         {"duration": -5.0}, {"repeats": 0}, {"repeats": 1.5}, {"speeds": [np.nan]}, {"los_deg": [np.nan]}, {"intensity": -0.1},
-        {"noise": np.nan}, {"randomisation": -1}, {"direction": np.nan}, {"seed": 1.5},
+        {"noise": np.nan}, {"randomisation": -1}, {"randomisation": 1.1}, {"direction": np.nan}, {"seed": 1.5},
     ],
     ids=str,
 )  # fmt: skip

@@ -27,7 +27,7 @@ from fishmj.water import flow as background
 from fishmj.water.flow import Current, Flow
 
 HEADINGS = ("upstream", "uniform")
-LIMITS = {"duration": (1, 600), "intensity": (0, 1), "randomisation": (0, 10), "noise": (0, 100), "direction": ()}  # of `Trials`
+LIMITS = {"duration": (1, 600), "intensity": (0, 1), "randomisation": (0, 1), "noise": (0, 100), "direction": ()}  # of `Trials`
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
 HOLD, EIGHT, ANGLE = TASKS = ("station_hold", "figure_eight", "angle_of_attack")
 

@@ -35,8 +35,8 @@ from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
 from fishmj.water.flow import Current
 
-# values beyond these are taken for typing errors
-LARGEST = {"intensity": 1, "flow_speed": 5, "randomisation": 10, "noise": 100, "seconds": 1e6}
+# values beyond these are taken for typing errors; beyond randomisation 1 a latency is negative, or cut
+LARGEST = {"intensity": 1, "flow_speed": 5, "randomisation": 1, "noise": 100, "seconds": 1e6}
 
 
 class SensorWindow(NamedTuple):
