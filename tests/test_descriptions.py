@@ -441,6 +441,12 @@ def test_the_table_of_keys_on_the_page_is_that_of_the_models():
     assert table_on_the_page() == table_of_keys(), "run: python tests/description_table.py"
 
 
+def test_angles_have_the_same_bounds_in_degrees_and_in_radians(tmp_path):
+    for block, key, value in (("servo", "resolution_deg", 30.0), ("water", "stall_width_deg", 0.5)):
+        robot = load_robot(written(tmp_path, put((block, key), value)))
+        assert load_robot(replace(robot, notes=())).servo == robot.servo
+
+
 def test_every_key_says_what_it_is_and_what_is_expected():
     for block in description_schema.BLOCKS:
         for key in description_schema.keys(block):

@@ -139,7 +139,7 @@ class ServoBlock(TomlTable):
     constant: float | None = number("of the motor seen at the output, for power only", 1e-5, 1e4, "V s/rad", default=None)
     range: float | None = number("in the place of range_deg", 0.0, 3.141592653589794, "rad", above=True, default=None)
     range_deg: float | None = number("commands are clamped to plus and minus this", 0.0, 180.0, "deg", above=True, default=None)
-    resolution: float | None = number("in the place of resolution_deg", 1e-7, 0.5, "rad", default=None)
+    resolution: float | None = number("in the place of resolution_deg", 1e-7, 0.523598775598299, "rad", default=None)
     resolution_deg: float | None = number("commands are rounded to this", 1e-5, 30.0, "deg", default=None)
     idle_power: float | None = number("electronics of the whole robot", 0.0, 1e4, "W", default=None)
 
@@ -220,7 +220,7 @@ class WaterBlock(TomlTable):
     lift_b: float | None = number("the same, attached", 0.0, 100.0, default=None)
     stall_angle: float | None = number("in the place of stall_angle_deg", 0.0, 3.2, "rad", above=True, default=None)
     stall_angle_deg: float | None = number("where the tail stalls", 0.0, 180.0, "deg", above=True, default=None)
-    stall_width: float | None = number("in the place of stall_width_deg", 0.01, 3.2, "rad", default=None)
+    stall_width: float | None = number("in the place of stall_width_deg", 0.008726646259971, 3.2, "rad", default=None)
     stall_width_deg: float | None = number("how sharply", 0.5, 180.0, "deg", default=None)
     stall_lag: float | None = number("travelled, in heights of the trailing edge", 0.01, 1000.0, default=None)
     suction: float | None = number("share of leading-edge suction behind the head", 0.0, 1.0, default=None)
