@@ -82,7 +82,7 @@ class Sim:
             raise UnknownName("engine", engine, ENGINES)
         own_fluid = water == ELLIPSOID
         can = (*choice.SELF_MADE, choice.HYBRID)
-        chosen = choice.chosen(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water).within(can, "Sim")
+        chosen = choice.chosen(mjcf.load_robot(robot), choice.STRUCTURED if own_fluid else water).within(can, "Sim").announced()
         self.robot, corrected = chosen.robot, chosen.kind == choice.HYBRID
         if corrected and root != "planar":
             raise ConfigError(

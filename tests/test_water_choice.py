@@ -34,6 +34,25 @@ def test_fitted_is_the_default_wherever_the_body_has_one():
     assert other.kind == "structured" and "none is fitted for this body" in other.said and "hydro_fit" in other.said
 
 
+def test_default_water_without_a_fit_is_said_once_in_python(capsys):
+    from fishmj import suite
+    from fishmj.tasks.gym.fish_env import FishVectorEnv
+
+    makes = (
+        Sim,
+        lambda robot: FishVectorEnv(1, robot=robot),
+        lambda robot: suite.load("fish", "station_hold", task_kwargs={"robot": robot}),
+    )
+    for i, make in enumerate(makes):
+        robot = replace(FISH, name=f"unfitted-{i}")
+        make(robot)
+        make(robot)
+        said = f"fishmj: robot {robot.name!r}, water: structured, own coefficients; none is fitted for this body"
+        assert capsys.readouterr().err.count(said) == 1
+        make(FISH), make(chosen(robot, "structured").robot)
+        assert not capsys.readouterr().err
+
+
 def test_a_fitted_water_belongs_to_the_body_not_to_its_servos():
     servo = replace(FISH, servo=replace(FISH.servo, kp=1.05 * FISH.servo.kp))
     found = chosen(servo)

@@ -48,6 +48,7 @@ HELP = (
 )
 
 
+NOT_FITTED = "none is fitted for this body"
 FIT_IT = "python -m fishmj.hydro_fit --fish FILE"  # of its description: a shipped robot has a fitted water
 INSTEAD = {
     HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
@@ -78,6 +79,13 @@ class WaterChoice(NamedTuple):
             )
         return self
 
+    def announced(self) -> "WaterChoice":
+        """Returns this choice; warns once for each body that has no fitted water and whose user chose none."""
+        if NOT_FITTED in self.said and (about := f"robot {self.robot.name!r}, water: {self.said}") not in _TOLD:
+            _TOLD.add(about)
+            console.warn(about)
+        return self
+
 
 def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     """Water that the option selects; None: the one that the description states, else the fitted water if this body has one.
@@ -93,7 +101,7 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:
-        why = "" if water is not None or stated else f"; none is fitted for this body: {FIT_IT}"
+        why = "" if water is not None or stated else f"; {NOT_FITTED}: {FIT_IT}"
         return WaterChoice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
     if name == LBM:
         return WaterChoice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
@@ -116,7 +124,7 @@ def in_water(
     robot: Robot, water: "str | Path | None" = None, *, can: Collection[str] = SELF_MADE, who: str = "this engine"
 ) -> Robot:
     """Robot in the water that the option selects, as `chosen`; further arguments and errors as `WaterChoice.within`."""
-    return chosen(robot, water).within(can, who).robot
+    return chosen(robot, water).within(can, who).announced().robot
 
 
 def as_described(robot: Robot, water: "str | Path" = STRUCTURED) -> Robot:

@@ -149,8 +149,9 @@ def found_of(robot) -> tuple[dict[str, Any], bool]:
     """Swims the robot for five seconds and prints its checks. Returns the facts for JSON, and True if a check is wrong."""
     from fishmj.mjcf.new.swim_check import checks, swim_of
     from fishmj.sim import Sim
+    from fishmj.water.choice import chosen
 
-    swim = swim_of(Sim(robot))
+    swim = swim_of(Sim(chosen(robot).robot))  # without the note that a new fish has no fitted water
     found = checks(robot, swim)
     rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
     console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))

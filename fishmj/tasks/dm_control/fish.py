@@ -67,7 +67,7 @@ def environment(name: Any, random, environment_kwargs, root: str, setting: dict)
     setting = dict(setting)
     solver, corrected = setting.pop("solver", None), setting.pop("hybrid", None)
     asked, course = options_for(name, setting, ("random", "root", "solver", "hybrid"))
-    water = choice.chosen(load_robot(asked.robot), asked.water)
+    water = choice.chosen(load_robot(asked.robot), asked.water).announced()
     checked_name("root", root, ROOTS)
     if root == "free" and water.kind in choice.SOLVED:
         raise ConfigError(
