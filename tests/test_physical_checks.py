@@ -193,6 +193,20 @@ def test_rows_in_which_the_fish_was_lost_are_left_out(columns, rows):
     assert "the fish was lost" in notes[0] and names(mended) == {}
 
 
+def test_held_camera_values_are_read_once_with_a_note(tmp_path):
+    trial = shipped("water_square_1")
+    held = changed(
+        trial, "pose", **{name: lambda v: v[np.arange(len(v)) // 5 * 5] for name in trial.tables["pose"] if name != "t"}
+    )
+    write_trial(tmp_path / "set" / "water_square_1", held)
+    found = readable_trials(tmp_path / "set")
+    pose = found.trials["water_square_1"].tables["pose"]
+    assert np.array_equal(pose["t"], trial.tables["pose"]["t"][::5]) and np.array_equal(
+        pose["yaw"], trial.tables["pose"]["yaw"][::5]
+    )
+    assert any("pose: each value stands in 5 rows: 10 Hz written at 50 Hz; its first row is kept" in n for n in found.notes)
+
+
 def test_noise_quick_turns_and_fixes_that_hold_are_no_lost_poses():
     trial, draw = turning(rate=2.5), np.random.default_rng(3)
     noisy = changed(trial, "pose", x=lambda v: v + 0.01 * draw.normal(size=len(v)), yaw=lambda v: np.angle(np.exp(1j * v)))

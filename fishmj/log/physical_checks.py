@@ -46,7 +46,7 @@ from fishmj.log.course import (
 )
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
-from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, is_logged, is_sound, joints, lost_poses, speeds
+from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, fresh_rows, is_logged, is_sound, joints, lost_poses, speeds
 
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
 WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
@@ -93,13 +93,18 @@ def examine(trial: Trial, only: Iterable[str] = ()) -> list[PhysicalFinding]:
 
 
 def without_failed_reads(trial: Trial) -> tuple[Trial, list[str]]:
-    """The trial without the rows in which a joint was not read or the fish was not seen, and a note on each table."""
+    """The trial without the rows in which a joint was not read, the fish was not seen or a sensor had no new value, and notes."""
     bounds = bounds_of(trial.meta, trial.name or "trial")
     tables, notes = dict(trial.tables), []
     for name in (name for name in UNREAD if name in tables):
         bad, told = UNREAD[name](tables[name], bounds)
         if bad.any():
             tables[name] = {column: np.asarray(values)[~bad] for column, values in tables[name].items()}
+            notes += told
+    for name in tables:
+        if is_sound(tables[name], list(tables[name])):
+            rows, told = fresh_rows(name, tables[name])
+            tables[name] = {c: np.asarray(v)[rows] for c, v in tables[name].items()} if told else tables[name]
             notes += told
     return (replace(trial, tables=tables), notes) if notes else (trial, [])
 

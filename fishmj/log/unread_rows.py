@@ -7,11 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from fishmj.log.trial import GAP, Table
+from fishmj.log.trial import GAP, Table, repeats, table_spec
 from fishmj.log.trial_check import Plausible
 
 SHORT, OFTEN = 5, 3  # rows of one failed read at most; times that the same value must come back
 LOST = 1.0  # s of a pose that is elsewhere and comes back, at most
+REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
+LONG = 5  # usual runs, which are a rest
+SINGLE, TOGETHER = 0.6, 0.75  # of irregular frames: largest share of runs of one row; of rows that change, to those by chance
 LEAP = {"x": 0.05, "y": 0.05, "yaw": 0.5}  # m, m, rad: least jump of a lost pose
 
 
@@ -80,6 +83,40 @@ def failed_reads(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]
     if not bad.any():
         return bad, []
     return bad, [f"joint: {int(bad.sum())} of {len(t)} rows left out, failed reads of {'; '.join(told)}"]
+
+
+def fresh_rows(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
+    """Rows in which a sensor that is slower than its log has a new value, with a note; all rows of any other table.
+
+    A camera's 10 poses a second, written into 50 rows, are each up to 0.1 s old. Values that stand for about the same number of
+    rows, or columns that change in the same rows, tell such a log from a robot at rest and from coarse numbers. In a rest, rows
+    are kept at the sensor's rate.
+    """
+    every = np.arange(len(columns["t"]))
+    if table == "cmd" or not table_spec(table).continuous:
+        return every, []
+    new = np.append(True, ~repeats(columns))
+    starts = np.flatnonzero(new)
+    length = np.diff(starts)[1:]  # the first value may have begun before the log
+    if len(length) < REPEATS or len(starts) > (1 - SLOWER) * len(every):
+        return every, []
+    mean = float(length[length <= 2 * np.median(length)].mean())
+    run = np.diff(np.append(starts, len(every)))[np.cumsum(new) - 1]  # rows of the value that stands in a row
+    rest = run > LONG * np.median(length)
+    irregular = bool(mean < 1 / (1 - SLOWER) or np.mean(np.abs(length - mean) <= SPREAD) < ALIKE)
+    if irregular:
+        moving = [v for c, v in columns.items() if c not in ("t", "t_rx", "seq") and np.ptp(v)]
+        steps = np.abs(np.diff(np.stack(moving)))[:, ~rest[1:]]
+        alone = 1 - np.prod(1 - np.mean(steps > 0, axis=1))  # share of rows with a change, did each column change by itself
+        coarse = all(np.median(step[step > 0]) < 1.5 * step[step > 0].min() for step in steps if step.any())
+        if coarse or np.mean(length == 1) > SINGLE or steps.any(axis=0).mean() > TOGETHER * alone:
+            return every, []
+        mean = float(length[length <= LONG * np.median(length)].mean())
+    since = every - starts[np.cumsum(new) - 1]
+    fresh = np.flatnonzero((since == 0) | rest & (since % max(2, round(mean)) == 0))
+    period, how = float(np.median(np.diff(columns["t"]))), ", at irregular instants" * irregular
+    text = f"{table}: each value stands in {mean:.3g} rows{how}: {1 / (mean * period):.3g} Hz written at {1 / period:.3g} Hz"
+    return fresh, [f"{text}; its first row is kept, {len(fresh)} of {len(every)}"]
 
 
 UNREAD = {"joint": failed_reads, "pose": lost_poses}  # table -> rows that hold no measurement

@@ -18,8 +18,9 @@ from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
 from fishmj.log.limits import bare, quoted
-from fishmj.log.trial import Table, Trial, repeats, table_spec
+from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible, Place, bounds_of
+from fishmj.log.unread_rows import fresh_rows
 
 DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3600.0  # s; clocks further apart than a day are different clocks
 AHEAD = 60.0  # s, between the last command and the first row of the swim
@@ -28,9 +29,6 @@ _PIECES = re.compile(r"(\d+)")
 FEW = 3  # times that a clock which was set goes back; rows that are mixed do so more often
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
-REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
-LONG = 5  # usual runs, which are a rest
-SINGLE, TOGETHER = 0.6, 0.75  # of irregular frames: largest share of runs of one row; of rows that change, to those by chance
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -198,7 +196,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
     rows = rows[order]
     notes += told
     columns = {column: values[rows] for column, values in out.items()} | {"t": t[order]}
-    fresh, told = _fresh(table, columns)
+    fresh, told = fresh_rows(table, columns)
     rows, columns = rows[fresh], {column: values[fresh] for column, values in columns.items()}
     notes += told
     notes += _across_the_seam(table, columns)
@@ -227,40 +225,6 @@ def _across_the_seam(table: str, columns: Table) -> list[str]:
             columns[name] = whole - 2 * np.pi * np.round(np.median(whole) / (2 * np.pi))
             notes.append(f"{table}: {name} passes the seam of a turn {int(wraps.sum())} times; unwrapped")
     return notes
-
-
-def _fresh(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
-    """Rows in which a sensor that is slower than its log has a new value, with a note; all rows of any other table.
-
-    A camera's 10 poses a second, written into 50 rows, are each up to 0.1 s old. Values that stand for about the same number of
-    rows, or columns that change in the same rows, tell such a log from a robot at rest and from coarse numbers. In a rest, rows
-    are kept at the sensor's rate.
-    """
-    every = np.arange(len(columns["t"]))
-    if table == "cmd" or not table_spec(table).continuous:
-        return every, []
-    new = np.append(True, ~repeats(columns))
-    starts = np.flatnonzero(new)
-    length = np.diff(starts)[1:]  # the first value may have begun before the log
-    if len(length) < REPEATS or len(starts) > (1 - SLOWER) * len(every):
-        return every, []
-    mean = float(length[length <= 2 * np.median(length)].mean())
-    run = np.diff(np.append(starts, len(every)))[np.cumsum(new) - 1]  # rows of the value that stands in a row
-    rest = run > LONG * np.median(length)
-    irregular = bool(mean < 1 / (1 - SLOWER) or np.mean(np.abs(length - mean) <= SPREAD) < ALIKE)
-    if irregular:
-        moving = [v for c, v in columns.items() if c not in ("t", "t_rx", "seq") and np.ptp(v)]
-        steps = np.abs(np.diff(np.stack(moving)))[:, ~rest[1:]]
-        alone = 1 - np.prod(1 - np.mean(steps > 0, axis=1))  # share of rows with a change, did each column change by itself
-        coarse = all(np.median(step[step > 0]) < 1.5 * step[step > 0].min() for step in steps if step.any())
-        if coarse or np.mean(length == 1) > SINGLE or steps.any(axis=0).mean() > TOGETHER * alone:
-            return every, []
-        mean = float(length[length <= LONG * np.median(length)].mean())
-    since = every - starts[np.cumsum(new) - 1]
-    fresh = np.flatnonzero((since == 0) | rest & (since % max(2, round(mean)) == 0))
-    period, how = float(np.median(np.diff(columns["t"]))), ", at irregular instants" * irregular
-    text = f"{table}: each value stands in {mean:.3g} rows{how}: {1 / (mean * period):.3g} Hz written at {1 / period:.3g} Hz"
-    return fresh, [f"{text}; its first row is kept, {len(fresh)} of {len(every)}"]
 
 
 def _still(table: str, columns: Table) -> list[str]:
