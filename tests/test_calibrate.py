@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -55,6 +56,32 @@ def test_correlation_length_of_red_noise():
     found = np.mean([correlation_length(red_noise(rng, 4000, 0.9)) for _ in range(20)])
     assert found == pytest.approx((1 + 0.9) / (1 - 0.9), rel=0.2)
     assert correlation_length(rng.standard_normal(4000)) < 1.5
+
+
+def averaged(trial, rows: int):
+    """The trial with joint angles that a centred moving average smoothed, to the digits of a file."""
+    mean = lambda v: np.round(np.convolve(np.pad(v, rows // 2, mode="edge"), np.ones(rows) / rows, "valid"), 5)
+    joint = {name: mean(v) if name[0] == "j" else v for name, v in trial.tables["joint"].items()}
+    return replace(trial, tables={**trial.tables, "joint": joint})
+
+
+@pytest.mark.parametrize("rows", [5, 9, 15])
+def test_smoothed_joint_angles_are_told_and_raw_ones_are_not(rows):
+    logs = calibration_logs.read(SHIPPED)
+    trials = [logs.trials[name] for name in logs.bench()]
+    assert calibration_logs.smoothing(trials) == ""
+    note = calibration_logs.smoothing([averaged(trial, rows) for trial in trials])
+    assert f"a moving average over {rows} rows" in note and "command_latency" in note
+    coarse = [replace(t, tables={**t.tables, "joint": {c: np.round(v, 2) for c, v in t.tables["joint"].items()}}) for t in trials]
+    assert calibration_logs.smoothing(coarse) == ""
+
+
+def test_servo_calibration_prints_that_angles_were_smoothed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(commands, "compile_kernel", lambda *_: None)
+    for name in calibration_logs.read(SHIPPED).bench():
+        write_trial(tmp_path / name, averaged(read_trial(SHIPPED / name), 9))
+    commands.open_bench_logs(Namespace(data=tmp_path, model="fish", same_robot=False), load_robot("fish"))
+    assert "as after a moving average over 9 rows" in capsys.readouterr().err
 
 
 def test_intervals_hold_under_autocorrelated_residuals():

@@ -27,6 +27,8 @@ SIGNALS = ("sine", "square", "impulse")  # the paper's
 MEDIA = ("air", "water")
 LEAST = 2  # signals: a sine alone has one frequency, at which gain, damping and latency stand in for each other
 QUIET = np.radians(2.0)  # of command, peak to peak: less is within dead band and gear play
+SMOOTHED, LIKE, ROWS = 0.15, 3.0, range(3, 26)  # power at an average's zeros to that between; one as deep; rows of the average
+SHORT, FEW = 100, 4  # rows of a trial, and trials, of which no smoothing is told
 FOLDER = Path("data") / "calib" / "trials"
 
 
@@ -80,6 +82,38 @@ def unfit(trial: Trial) -> str:
     if span >= QUIET:
         return ""
     return f"its commands stay within {np.degrees(span):.2g} deg, at least {np.degrees(QUIET):.2g} are needed"
+
+
+def smoothing(trials: "list[Trial]") -> str:
+    """Note on joint angles that a moving average smoothed; "" if none is seen.
+
+    An average over w rows has no power at multiples of 1 / w of the rate, whatever it averages. Each signal must show that, since
+    a periodic one has little power at some frequencies by itself.
+    """
+    kinds: dict[str, list[list[float]]] = {}
+    for trial in trials:
+        bend = np.diff(stacked(trial.table("joint"), "j#"), 2, axis=0)
+        bend = (bend - bend.mean(0)) * np.hanning(len(bend))[:, None]
+        if len(bend) >= SHORT and bend.any():
+            moved, zeros = bend[:, bend.any(axis=0)], [(np.arange(1, (w + 1) // 2) / w, 0.5 / w) for w in ROWS]
+            deep = [_level(moved, at) - _level(moved, (at + half)[at + half <= 0.5]) for at, half in zeros]
+            kinds.setdefault(str(trial.value("excitation", "")), []).append(deep)
+    if len(kinds) < LEAST or sum(map(len, kinds.values())) < FEW:
+        return ""
+    left = np.exp(np.max([np.mean(rows, axis=0) for rows in kinds.values()], axis=0))
+    if left.min() > SMOOTHED:
+        return ""
+    rows = ROWS[int(np.flatnonzero(left <= min(SMOOTHED, LIKE * left.min()))[-1])]
+    return (
+        f"joint: the angles have no power at multiples of 1/{rows} of their rate, as after a moving average over {rows} rows. A"
+        " centred one shortens command_latency and raises kd; give the angles as the servo sent them"
+    )
+
+
+def _level(x: np.ndarray, frequencies: np.ndarray) -> float:
+    """Mean logarithm of the power of columns (T, J) at some frequencies, 1 / rows."""
+    wave = np.exp(-2j * np.pi * np.outer(frequencies, np.arange(len(x))))
+    return float(np.log(np.abs(wave @ x) ** 2 + 1e-30).mean())
 
 
 def angles(record: Record) -> Sensor:

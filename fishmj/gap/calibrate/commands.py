@@ -12,7 +12,7 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.errors import LogError
 from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_fit
-from fishmj.gap.calibrate.calibration_logs import Logs, read
+from fishmj.gap.calibrate.calibration_logs import Logs, read, smoothing
 from fishmj.gap.calibrate.parameter_fit import ParameterEstimate, widened
 from fishmj.gap.calibrate.water_plant import WaterPlant
 from fishmj.gap.commands.admission import of_this_robot, unphysical
@@ -82,7 +82,8 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
 def open_bench_logs(args, robot: Robot) -> tuple[Logs, ServoStand]:
     """The trials and the plant for comparison; missing data are reported before anything is compiled."""
     logs, plant = open_logs(args, robot, physical_checks.JOINTS), ServoStand(robot)
-    logs.bench()
+    if note := smoothing([logs.trials[name] for name in logs.bench()]):
+        console.warn(note)
     compile_kernel(plant, console.say)
     return logs, plant
 
