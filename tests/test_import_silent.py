@@ -41,6 +41,28 @@ def test_one_file_of_several_in_another_unit_is_asked(tmp_path, bring, column, m
     assert code == 2 and told in err and f"--set {column}=" in err
 
 
+def test_servo_pulses_and_roll_are_left_out_with_the_reason(tmp_path, bring):
+    """Numbered pulses are asked about, as joints; a map makes angles of them."""
+    place, pulses = (
+        {"x": 0.1 * T, "y": 0.0 * T, "yaw": 0.0 * T},
+        {f"pulse{k + 1}_us": 1500 + 200 * q for k, q in enumerate(SWING)},
+    )
+    lab_files.write(tmp_path / "a.csv", {"time": T, **place, "pulse_us": 1500 + T, "roll_deg": 2 * SWING[0], "rx_deg": SWING[1]})
+    code, out, err = bring(tmp_path / "a.csv", "--yes")
+    notes = " ".join(only(tmp_path / "set").meta["notes"])
+    assert code == 0 and "pulse_us: pulses of a servo, no angles: map them with unit = 'deg', scale" in notes, err
+    assert "roll_deg: a roll or pitch; the schema's fish swims in the plane" in notes and out.count("a roll or pitch") >= 2
+    lab_files.write(tmp_path / "b.csv", {"time": T, **place, **pulses})
+    code, _, err = bring(tmp_path / "b.csv", "--yes", out=tmp_path / "asked")
+    assert code == 2 and "pulse2_us: may be joint 2 of 3" in err and "zero = the us of the straight joint" in err
+    columns = "".join(
+        f'columns.c{k} = {{ column = "pulse{k}_us", unit = "deg", scale = 0.09, zero = 1500 }}\n' for k in (1, 2, 3)
+    )
+    (tmp_path / "map.toml").write_text(f'[meta]\nrobot = "swift"\n[tables.cmd]\nt = "time"\n{columns}')
+    assert bring(tmp_path / "b.csv", "--columns", tmp_path / "map.toml", out=tmp_path / "mapped")[0] == 0
+    near(only(tmp_path / "mapped").table("cmd")["c2"], np.radians(18 * SWING[1]))
+
+
 def test_numbered_columns_of_an_unknown_name_may_be_the_joints(tmp_path, bring):
     """They are asked about where the log holds no joint; left out where it does, or where they hold no motion."""
     place = {"x": 0.1 * T, "y": 0.0 * T, "yaw": 0.0 * T}

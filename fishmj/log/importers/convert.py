@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log import toml
-from fishmj.log.importers import joint_switches
+from fishmj.log.importers import header, joint_switches
 from fishmj.log.importers.cells import frame_doubt
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
@@ -64,6 +64,8 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
         if rest := [column for column in sheet.columns if column not in used]:
             more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
             notes.append(f"{sheet.name}: not read: {', '.join(bare(c) for c in rest[:8])}{more}")
+            reasons = {header.no_place(header.parse(column)): bare(column) for column in reversed(rest)}
+            notes += [f"{sheet.name}: {column}: {reason}" for reason, column in reasons.items() if reason]
     if "markers" in found and "pose" not in found:
         why = "positions without a heading are points and no pose, and no model is compared with points"
         notes.append(f"markers: {why}; map the heading, columns.yaw of [tables.pose] or --set COLUMN=pose.yaw:UNIT")

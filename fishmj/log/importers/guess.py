@@ -219,7 +219,7 @@ def _nameless_joints(guesses: list[Guess], found: Sequence[FileKind]) -> list[Gu
     rows: dict[tuple[int, tuple[str, ...]], dict[int, int]] = {}  # by kind and words: number -> index
     for i, g in enumerate(guesses):
         name = header.parse(g.column)
-        if g.state == LEFT and not g.said and g.why == header.UNKNOWN and name.number is not None:
+        if g.state == LEFT and not g.said and g.why in (header.UNKNOWN, header.PULSES) and name.number is not None:
             values = found[g.kind].values(g.column)
             if len(np.unique(values[np.isfinite(values)])) > 1:
                 rows.setdefault((g.kind, name.words), {})[name.number] = i
@@ -231,6 +231,8 @@ def _nameless_joints(guesses: list[Guess], found: Sequence[FileKind]) -> list[Gu
         for number, i in numbers.items():
             joint = number - first + 1
             why = f"may be joint {joint} of {len(numbers)}, commanded or measured; =skip leaves it out"
+            if out[i].why == header.PULSES:
+                why, out[i] = f"{why}; {header.PULSES}", replace(out[i], unit="", fits=("deg*SCALE",))
             out[i] = out[i].unclear(why, places=(f"cmd.c{joint}", f"joint.j{joint}"))
     return out
 

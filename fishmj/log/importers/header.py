@@ -38,6 +38,11 @@ TEMPERATURE = set("temp temperature temperatur temperatura".split())
 NOWHERE = set(
     "error err pwm duty pitch roll depth lat latitude lon longitude percent soc id seq pressure druck tiefe fehler".split()
 )
+PULSE = set("pulse pulses pulsewidth".split())
+PULSES = (
+    "pulses of a servo, no angles: map them with unit = 'deg', scale = the degrees a us and zero = the us of the straight joint"
+)
+TILTS = "a roll or pitch; the schema's fish swims in the plane, its heading is yaw"
 _GLUED = {  # names without a mark between their words; a unit comes last, so no quantity does
     **{"posx": "pos x", "posy": "pos y", "xpos": "pos x", "ypos": "pos y", "camx": "cam x", "camy": "cam y"},
     **{"vbat": "volt battery", "vbatt": "volt battery", "vin": "volt supply"},
@@ -134,6 +139,13 @@ def role(name: Header, context: set[str]) -> Role:
     return Role(why=UNKNOWN)
 
 
+def no_place(name: Header) -> str:
+    """Reason that servo pulses, a roll or a pitch are in no column of the schema; "" for any other name."""
+    if (name.has(PULSE) or name.has({"pwm"}) and name.unit == "us") and not name.has(COMMAND):
+        return PULSES
+    return TILTS if name.has({"roll", "pitch"}) or name.words in (("rx",), ("ry",)) and measures(name.unit) == "angle" else ""
+
+
 def _exact(name: Header, context: set[str]) -> Role | None:
     """Role of a name of the schema itself; None for any other name."""
     if name.words in (("c",), ("j",)) and name.number is not None and measures(name.unit) in ("", "angle"):
@@ -153,6 +165,8 @@ def _force(name: Header, context: set[str]) -> Role | None:
     )
     if measures(name.unit) in ("mass", "power", "share", "count") and not known:
         return Role(why=f"{name.unit}: the schema has no such column")
+    if why := no_place(name):
+        return Role(why=why)
     if name.has(NOWHERE):
         return Role(why="the schema has no such column")
     return None
@@ -248,7 +262,7 @@ def _joint(name: Header, context: set[str]) -> Role | None:
     counted = said in ("count", "share") and name.has(COMMAND | MEASURED) or said == "time" and numbered and name.has(COMMAND)
     counted = counted and not name.has(RATE | {"load"})  # ticks, or a pulse's width
     if not (known or numbered) or not (counted or said in ("", "angle", "rate")):
-        return Role(why=f"{name.unit} measures no angle") if known and said else None
+        return Role(why=PULSES if name.unit == "us" else f"{name.unit} measures no angle") if known and said else None
     if name.has(RATE) or said == "rate":
         if name.has(COMMAND):
             return Role(why="a commanded rate; the schema has none")
