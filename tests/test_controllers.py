@@ -93,6 +93,17 @@ def test_the_generator_beats_at_the_wanted_frequency_with_the_wanted_lag():
     assert lag == pytest.approx(LAG, abs=1e-6)
 
 
+def test_beat_above_half_the_control_rate_is_noted_on_hold(capsys):
+    held = replace(ROBOT, name="held", timing=replace(ROBOT.timing, command_path="hold"))
+    rates = replace(STEADY, frequency=100.0)
+    for robot, beat, notes in ((replace(held, timing=ROBOT.timing), 4.0, 0), (held, 2.5, 0), (held, 4.0, 1), (held, 4.0, 0)):
+        cpg = Cpg(robot, LAG, rates)
+        cpg.reset(1)
+        cpg(np.array([beat]), np.array([0.3]), np.zeros(1))
+        said = capsys.readouterr().err
+        assert said.count("a beat of 4 Hz on command_path 'hold' becomes one of 1 Hz") == notes == said.count("\n")
+
+
 def test_under_hold_a_chunk_is_one_sample():
     held = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
     smooth, stepped = (Cpg(robot, LAG, STEADY) for robot in (ROBOT, held))

@@ -11,8 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fishmj.base import console
 from fishmj.engines import ticks_per
 from fishmj.mjcf.description import Robot
+
+_TOLD: set[tuple[str, float]] = set()  # robots and control rates of the note on a beat that is too fast
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +31,8 @@ class Cpg:
     """B oscillators.
 
     Args:
-        robot: gives bus ticks and the command path; under `hold` a chunk repeats the wave's value at its middle.
+        robot: gives bus ticks and the command path; under `hold` a chunk repeats the wave's value at its middle, and a beat above
+            half the control rate is noted once for each robot: the joints beat slower.
         lag: (J,) rad behind the phase.
         rates: limits on the rates of f, A and bias.
     """
@@ -39,6 +43,7 @@ class Cpg:
         self.ticks = ticks_per(robot)[1]
         self.dt = robot.timing.bus_dt
         self.hold = robot.timing.command_path == "hold"
+        self.name, self.control_dt = robot.name, robot.timing.control_dt
         self.reset(0)
 
     def reset(self, n: int) -> None:
@@ -48,12 +53,25 @@ class Cpg:
     def __call__(self, frequency, amplitude, bias) -> np.ndarray:
         """The next control step's commands, (B, T, J) rad, for goals f [Hz], A [rad] and bias [rad], each (B,)."""
         f = self._towards(self.frequency, frequency, self.rates.frequency)
+        if self.hold and np.max(f, initial=0.0) > 0.5 / self.control_dt:
+            self._note_alias(float(f.max()))
         a = self._towards(self.amplitude, amplitude, self.rates.amplitude)
         b = self._towards(self.bias, bias, self.rates.bias)
         phase = self.phase[:, None] + 2 * np.pi * self.dt * np.cumsum(f, 1)
         wave = self.share * a[..., None] * np.sin(phase[..., None] - self.lag) + b[..., None] / len(self.lag)
         self.phase, self.frequency, self.amplitude, self.bias = phase[:, -1] % (2 * np.pi), f[:, -1], a[:, -1], b[:, -1]
         return np.repeat(wave[:, [self.ticks // 2 - 1]], self.ticks, 1) if self.hold else wave
+
+    def _note_alias(self, beat: float) -> None:
+        """Warns once for each robot and control rate that commands show another beat than the wave's."""
+        rate = 1 / self.control_dt
+        if (self.name, rate) not in _TOLD:
+            _TOLD.add((self.name, rate))
+            seen = abs(beat - round(beat / rate) * rate)
+            console.warn(
+                f"robot {self.name!r}: a beat of {beat:.3g} Hz on command_path 'hold' becomes one of {seen:.3g} Hz at the joints;"
+                f" expected at most {0.5 * rate:.3g} Hz, half the control rate; take path 'linear' or a slower beat"
+            )
 
     def _towards(self, now, goal, rate: float):
         """Straight line (B, T) from `now` towards `goal`, as far as `rate` allows in the control step.
