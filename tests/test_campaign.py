@@ -257,7 +257,7 @@ def test_the_shipped_data_are_what_their_command_makes():
 
 
 def test_collect_checks_its_default_folder_before_it_solves(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("fishmj.hydro_fit.campaign.data.collect.OWN", tmp_path / "data")
     (tmp_path / "data").write_text("a file in the place of the folder")
     with pytest.raises(ArgumentTypeError, match="nothing can be written below it"):
         main(["--preview", "--device", "cpu"])

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fishmj.base.errors import ConfigError
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
@@ -76,6 +77,14 @@ def test_rounds_that_never_agree_say_so(tmp_path):
     given = dict(refit=lambda model, solver: slow, episodes=1, seconds=6.0, rounds=1, pool=Tanks())
     found = dagger.correct("dob", ROBOT, slow, tmp_path, setup, **given)
     assert not found["agreed"] and len(found["rounds"]) == 1 and found["model"] is slow
+
+
+def test_a_folder_goes_on_with_the_options_of_before_only(tmp_path):
+    begun = {"policy": "pd", "domain": "laptop", "speeds": None}
+    for _ in range(2):
+        dagger.same_as_begun(tmp_path / dagger.BEGUN, begun)
+    with pytest.raises(ConfigError, match="was begun with domain laptop, got window; repeat the options"):
+        dagger.same_as_begun(tmp_path / dagger.BEGUN, begun | {"domain": "window"})
 
 
 def test_every_sixth_episode_of_a_round_validates_and_of_fewer_the_last():

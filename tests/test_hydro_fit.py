@@ -32,7 +32,7 @@ from fishmj.hydro_fit.fit.incremental import Refit
 from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.training_loop import Loop
-from fishmj.hydro_fit.segment_dataset import open_dataset
+from fishmj.hydro_fit.segment_dataset import open_dataset, open_each
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain
@@ -226,10 +226,16 @@ def test_training_records_validate_where_no_others_do(records, tmp_path):
 def test_further_data_of_the_same_water_are_fitted_beside_the_first(records, tmp_path):
     folder = hidden.write_dataset(tmp_path / "rounds", records["train"][:4])
     grid = open_dataset(folder)[records["train"][0].id].meta["grid"]
-    train, val = verb.further_parts(folder, ROBOT, 1.0, grid)
+    train, val = verb.further_parts(open_dataset(folder), ROBOT, 1.0, grid)
     assert [r.id for r in train] == sorted(r.id for r in records["train"][:4]) and not val
     with pytest.raises(ConfigError, match="expected the same water"):
-        verb.further_parts(folder, ROBOT, 1.0, grid | {"boundary": "rims"})
+        verb.further_parts(open_dataset(folder), ROBOT, 1.0, grid | {"boundary": "rims"})
+    (tmp_path / "link").symlink_to(folder)
+    with pytest.raises(DatasetError, match="its swims would count twice"):
+        open_each([folder, tmp_path / "link"])
+    for other, why in ((tmp_path / "none", "no such folder"), (folder / "manifest.json", "it is a file")):
+        with pytest.raises(DatasetError, match=why):
+            open_dataset(other)
 
 
 def test_a_better_model_is_never_overwritten(fitted, tmp_path):

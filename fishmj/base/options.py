@@ -147,19 +147,23 @@ SEED = whole(0, 2**53 - 1)  # of every draw; a whole number that JSON holds exac
 class Listed:
     """The `type=` of an option that takes 1 to `most` values with commas between them, none of them twice.
 
-    `same` maps a value to a key; two values with one key count as the same.
+    `same` maps a value to a key; two values with one key count as the same. `rising`: bounds, of which none is below the one
+    before it.
     """
 
     item: Any  # the `type=` of each
     most: int = 100
     distinct: bool = True
     same: Callable[[Any], Any] = lambda value: value
+    rising: bool = False
 
     def __call__(self, text: str) -> list:
         parts = [part.strip() for part in text.split(",")]
         if not all(parts) or len(parts) > self.most:
             raise argparse.ArgumentTypeError(f"got {shown(text)}, expected 1 to {self.most} values with commas between them")
         values = [self._one(part) for part in parts]
+        if self.rising and values != sorted(values):
+            raise argparse.ArgumentTypeError(f"got {shown(text)}, expected the smaller number first")
         kinds = [self.same(value) for value in values]
         twice = next((i for i, kind in enumerate(kinds) if kind in kinds[:i]), None)
         if twice is not None and self.distinct:

@@ -11,7 +11,7 @@ from fishmj.base.errors import ConfigError, DatasetError, FishmjError, StoreErro
 from fishmj.base.store import sha256
 from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SegmentRecord
-from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset, same_fish
+from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset, open_each, same_fish
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
@@ -191,16 +191,15 @@ def fitted_parts(data: SegmentDataset, robot: Robot, slip: float) -> tuple[list[
     return train, val
 
 
-def further_parts(folder: Path, robot: Robot, slip: float, grid: dict) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
+def further_parts(data: SegmentDataset, robot: Robot, slip: float, grid: dict) -> tuple[list[SegmentRecord], list[SegmentRecord]]:
     """Training and validation records of a data set that is fitted beside the first, whose `grid` it must have.
 
     Raises ConfigError: as `records_of`, or solved in another box or boundary, which would be two waters in one fit.
     """
-    data = open_dataset(folder)
     train = records_of(data, robot, "train", slip)
     mine, first = ({key: one.get(key, "") for key in ("domain", "boundary")} for one in (train[0].meta["grid"], grid))
     if mine != first:
-        raise ConfigError(f"--also {folder}: solved in {mine}, the first data set in {first}; expected the same water")
+        raise ConfigError(f"--also {data.folder}: solved in {mine}, the first data set in {first}; expected the same water")
     return train, records_of(data, robot, "val", slip) if data.names("val", slip=slip) else []
 
 
@@ -268,10 +267,10 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     about = {"sha256": data.sha256, "folder": folder.name, "origin": "synthetic", "grid": solved.get("domain", "")}
     if "boundary" in solved:  # as in segments: not for the plain one
         about["boundary"] = solved["boundary"]
-    for place in getattr(args, "also", []):
-        more = further_parts(place, robot, slip, solved)
+    for further in open_each([folder, *getattr(args, "also", [])])[1:]:
+        more = further_parts(further, robot, slip, solved)
         train, val = train + more[0], val + more[1]
-        about["also"] = about.get("also", []) + [open_dataset(place).sha256]
+        about["also"] = about.get("also", []) + [further.sha256]
     console.say(f"{len(train)} records to fit, {sum(r.seconds for r in train):.0f} s of water; {len(val)} to validate")
     with console.Progress(1.0, f"fit {robot.name}") as bar:
 

@@ -11,7 +11,7 @@ set with only the segments of `INSTALLED`, as in an installed fishmj, can be use
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -145,12 +145,22 @@ def split_hashes(episodes: dict[str, str]) -> dict[str, str]:
     return {split: hashlib.sha256(json.dumps(names).encode()).hexdigest() for split, names in parts.items()}
 
 
+def open_each(folders: Iterable[str | Path]) -> list[SegmentDataset]:
+    """Opens several data sets for one fit. Raises DatasetError: as `open_dataset`, or one of them twice."""
+    found: dict[str, SegmentDataset] = {}
+    for data in map(open_dataset, folders):
+        if (twin := found.setdefault(data.sha256, data)) is not data:
+            raise DatasetError(f"{data.folder}: the same data set as {twin.folder}; its swims would count twice: name it once")
+    return [*found.values()]
+
+
 def _manifest(folder: Path) -> tuple[Manifest, bool]:
     """Manifest after checking every file, and True if that is all of the data set."""
     try:
         manifest = Manifest.read(folder)
     except StoreError as error:
         again = "a campaign that was interrupted has none: collect again into the same folder"
+        again = again if folder.is_dir() else "it is a file" if folder.exists() else "there is no such folder"
         raise DatasetError(f"{folder}: no data set: {error}; {again}{left_out(folder)}") from error
     rest = [n for n in manifest.files if n.startswith(SEGMENTS) and not any(fnmatch(n, pattern) for pattern in INSTALLED)]
     whole = not rest or any((folder / name).is_file() for name in rest)

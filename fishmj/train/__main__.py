@@ -101,7 +101,8 @@ def options() -> console.Parser:
     intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
     add("--intensity", type=console.number(0, 0.99), help=intensity)
     speeds = f"stream: each episode draws from LOW to HIGH; one number: always this (default: the task's, {task_speeds()})"
-    add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=f"m/s, {speeds}")
+    bounds = console.Listed(console.number(0, 5), 2, distinct=False, rising=True)
+    add("--flow-speeds", type=bounds, metavar="LOW,HIGH", help=f"m/s, {speeds}")
     exponent = "of the draw, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
     add("--flow-exponent", type=console.number(0.1, 10), metavar="E", help=exponent)
     share = "share of the episodes that begin at the target, at any heading (default: 0: anywhere, as the paper's)"
@@ -259,10 +260,10 @@ def corrected(args, command: str) -> int:
             f"--correct beside {wrong[0]}: its own command goes on, one seed, PPO, in the fitted water; leave it out"
         )
     use_cores_as_devices()
-    settings = settings_from(args)
+    settings, args.rounds = settings_from(args), args.rounds or 4
     correct_water.affordable(settings, args)
     out = args.out or Path("runs") / f"correct-{settings.preset}-{settings.seed}"
-    where = {"slip": args.slip, "domain": args.domain, "device": args.device or "auto", "rounds": args.rounds or 4}
+    where = {"slip": args.slip, "domain": args.domain, "device": args.device or "auto", "rounds": args.rounds}
     steps = None if args.steps is None else int(args.steps)
     options = {"begin": args.begin, "asked": _asked_of(args), "steps": steps, "command": command}
     try:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from fishmj.base import console, interrupt
+from fishmj.base.calib import OWN
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json, write_json
 from fishmj.hydro_fit.campaign.dagger import dagger
@@ -71,7 +72,7 @@ def train_and_correct(
     if (folder / FILE).is_file() and read_json(folder / FILE) != about:
         raise ConfigError(f"{folder} holds a run with other options; repeat its command to go on, or choose another --out")
     write_json(folder / FILE, about)
-    data = open_dataset(Path("data") / "hydro" / robot.name)
+    data = open_dataset(OWN / "hydro" / robot.name)
     dagger.warn_of_two_waters([data], tank)
     devices = devices_of(device)
     setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)

@@ -120,6 +120,7 @@ class FitPipeline:
         self.notes: list[str] = []
         self.found: dict[str, dict] = {}
         self.seconds: dict[str, float] = {}
+        self.done: list[str] = []  # stages of this fit that are kept
         self.loop = Loop()  # of the stage that is under way
 
     def run(self) -> HydroModel:
@@ -144,6 +145,7 @@ class FitPipeline:
                 self.loop.end()
             else:
                 state = kept
+            self.done.append(stage)
             self.report(stage, self._share(stage, 1.0), {"seconds": self.seconds.get(stage, 0.0)})
         return state
 
@@ -155,8 +157,7 @@ class FitPipeline:
         self.loop.save()
         if self.folder is None:
             return "nothing of it is kept"
-        done = [stage for stage in STAGES if (path := self._path(stage)) is not None and path.is_file()]
-        return f"{self.folder} holds the stages {', '.join(done) or 'begun'}; {interrupt.again()}"
+        return f"{self.folder} holds the stages {', '.join(self.done) or 'begun'}; {interrupt.again()}"
 
     def begin_stage(self, stage: str) -> None:
         """Called before each stage; a fit whose stages have keys of their own sets `key` here."""

@@ -29,10 +29,10 @@ import numpy as np
 
 from fishmj import control
 from fishmj.base import console, interrupt
-from fishmj.base.calib import constant
+from fishmj.base.calib import OWN, constant
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, DatasetError
-from fishmj.base.store import read_json, write_json
+from fishmj.base.store import plain, read_json, write_json
 from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
@@ -41,7 +41,7 @@ from fishmj.hydro_fit.campaign.data.collect import ON_GPU, Local, Pool, collect,
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive, ticks_of
-from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SegmentDataset, open_dataset, open_each
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY
@@ -61,6 +61,7 @@ LEAST = 0.1  # of the reward at the target: a return near zero, where approach a
 SWIMS = 1200.0  # s of swims in a fit
 DRAWS = 10_000  # of a bootstrap
 FEW = 60.0  # s of swims in all, which take less time here than other processes need to start
+BEGUN = "correct.json"  # options of a correction, in its folder
 SHORT = 3.0  # s, of the segment from the surrogate's state half-way
 
 
@@ -278,7 +279,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     add("policy", type=console.text, metavar="POLICY", help="name of a controller or a policy file")
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
-    add("--model", type=console.text, default="swift", help="the surrogate to begin with: name or .toml")
+    add("--model", type=console.text, help="the surrogate to begin with: name or .toml; default that of the fish")
     sets = "data sets that it was fitted to, those of earlier corrections (OUT/solver) too; default data/hydro/<robot>; read only"
     add("--data", type=console.path, nargs="+", metavar="FOLDER", help=sets)
     place = "folder of the rounds and of the corrected model; goes on with what is there"
@@ -287,15 +288,21 @@ def main(argv: list[str]) -> int:
     add("--episodes", type=console.whole(1, 1000), default=6, help="of each round")
     add("--seconds", type=console.number(2, 600), default=20.0, help="of each episode")
     streams = "m/s, of the streams: bounds of a draw for each episode; default 0,0.35"
-    add("--flow-speeds", type=console.Listed(console.number(0, 5), 2, distinct=False), metavar="LOW,HIGH", help=streams)
+    add(
+        "--flow-speeds",
+        type=console.Listed(console.number(0, 5), 2, distinct=False, rising=True),
+        metavar="LOW,HIGH",
+        help=streams,
+    )
     add("--domain", choices=EVERY, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.devices, default="auto", help="auto, cpu, cuda, cuda:N, cuda:all or a list; default auto")
     tanks = f"segments side by side on each device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 1000), metavar="N", help=tanks)
     args = parser.parse_args(argv)
-    robot, out, began = load_robot(args.fish), Path(args.out), HydroModel.load(args.model)
-    control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
-    first = [open_dataset(folder) for folder in args.data or [Path("data") / "hydro" / robot.name]]
+    robot, out = load_robot(args.fish), Path(args.out)
+    began = HydroModel.load(args.model or robot.name)
+    helm = control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
+    first = open_each(args.data or [OWN / "hydro" / robot.name])
     tank = water_of_fit(began.dataset, began.slip, args.domain)
     warn_of_two_waters(first, tank)
     water = args.rounds * args.episodes * args.seconds
@@ -305,16 +312,33 @@ def main(argv: list[str]) -> int:
     devices = devices_of(args.device)
     setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)
     speeds = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1])
-    sized = {"rounds": args.rounds, "episodes": args.episodes, "seconds": args.seconds, "speeds": speeds}
+    sized = {"episodes": args.episodes, "seconds": args.seconds, "speeds": speeds}
+    begun = {"policy": getattr(helm, "sha256", args.policy), "model": sha256_of(began), "domain": tank.box.name}
+    same_as_begun(out / BEGUN, plain(begun | {"data": [data.sha256 for data in first]} | sized))
     pool = Local(tanks_on(devices[0], args.tanks), devices)
     refit = lambda model, solver: refitted(robot, model, first, solver, out)
     with interrupt.keeping(lambda: kept_words(out)):
-        found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, **sized)
+        found = correct(args.policy, robot, began, out, setup, refit=refit, pool=pool, rounds=args.rounds, **sized)
     path = found["model"].save(out)
-    console.say(console.table(found["rounds"]), f"model: {path}")
+    console.say(console.table(found["rounds"]), f"model: {path}, refitted {len(found['rounds']) - 1} times")
+    if not found["agreed"]:
+        gap = found["rounds"][-1]["gap"]
+        console.warn(
+            f"the returns are {gap:.1%} apart, expected at most {AGREED:.0%}; the last round judges and is not fitted:"
+            f" take more --rounds than {args.rounds}"
+        )
     if args.json:
         console.emit_json({"rounds": found["rounds"], "agreed": found["agreed"], "model": str(path)})
     return console.OK if found["agreed"] else console.FAILED_CHECK
+
+
+def same_as_begun(path: Path, options: dict) -> None:
+    """Keeps the options of a correction. Raises ConfigError: its folder was begun with others, whose rounds would be mixed."""
+    there = read_json(path) if path.is_file() else options
+    if other := [key for key in options if there.get(key) != options[key]]:
+        told = "; ".join(f"{key} {there.get(key)!s:.40}, got {options[key]!s:.40}" for key in other)
+        raise ConfigError(f"{path.parent} was begun with {told}; repeat the options to go on, or take another --out")
+    write_json(path, options)
 
 
 def warn_of_two_waters(first: Sequence[SegmentDataset], tank: SolverWater) -> None:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from fishmj.base import console, interrupt
+from fishmj.base.calib import OWN
 from fishmj.base.errors import ConfigError, DatasetError, StoreError
 from fishmj.base.store import Manifest, read_json, sha256, write_json
 from fishmj.hydro_fit.campaign.data import plan as plans
@@ -365,7 +366,7 @@ def domain_there(folder: Path) -> Domain:
 def default_folder(plan: CampaignPlan) -> Path:
     """Folder data/hydro/<fish> for the whole campaign; a separate one for any other plan."""
     suffix = "" if plan.label == "full" else "-" + plan.label.replace(",", "").replace(" ", "-")
-    return Path("data") / "hydro" / f"{plan.robot.name}{suffix}"
+    return OWN / "hydro" / f"{plan.robot.name}{suffix}"
 
 
 def tanks_on(device: str, asked: int | None = None) -> int:
