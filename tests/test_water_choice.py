@@ -9,6 +9,7 @@ from fishmj import engines
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
+from fishmj.mjcf.relations import _no_water
 from fishmj.sim import Sim
 from fishmj.tasks.station_hold import draw_fish, n_fish
 from fishmj.water import choice
@@ -182,6 +183,24 @@ def test_the_search_refuses_a_learnt_force_that_it_would_leave_out():
     searchable(as_described(FISH, "swift-base"), "fish")
     with pytest.raises(ConfigError, match="water 'swift' has a learnt force, which it would leave out; take its strips"):
         searchable(as_described(FISH, "fitted"), "fish")
+
+
+def test_a_file_has_its_strips_alone_as_a_shipped_name_has(tmp_path):
+    from fishmj.gap.commands.admission import searchable
+
+    whole = str(fitted_water("swift").save(tmp_path))
+    strips = str(tmp_path / "swift-base.toml")
+    alone = chosen(FISH, strips)
+    assert "swift-base.toml: strips alone, slip 1)" in alone.said and not residuals_of(alone.robot)
+    assert alone.robot.water["k"] == chosen(FISH, "swift-base").robot.water["k"]
+    assert HydroModel.load(f"{strips}#2").name == "swift-base#2"
+    assert _no_water(strips) is None and _no_water(str(tmp_path / "pike-base.toml")) is not None
+    with pytest.raises(StoreError, match="pike-base.toml: no such file"):
+        chosen(FISH, str(tmp_path / "pike-base.toml"))
+    with pytest.raises(ConfigError, match=f"take its strips, --water {strips}, or structured"):
+        searchable(chosen(FISH, whole).robot, "fish")
+    fitted_water("swift-noslip").base_only.save(tmp_path).rename(strips)
+    assert HydroModel.load(strips).name == "swift-noslip"
 
 
 @pytest.mark.parametrize("water", ["fitted", "surrogate", "swift"])

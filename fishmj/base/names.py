@@ -45,3 +45,10 @@ def split_member(water: str) -> tuple[str, str | None]:
     """`NAME#2` or `file.toml#2` -> (name or file, "2"), one member of a fitted water's ensemble; without one (water, None)."""
     whole, mark, number = water.rpartition("#")
     return (whole, number) if mark and not number.endswith(".toml") else (water, None)  # a folder may have a # in its name
+
+
+def strips_of(water: str) -> str:
+    """Name or file of the strips alone of a fitted water: `NAME-base`, `FOLDER/NAME-base.toml`; `NAME#2` -> `NAME-base#2`."""
+    whole, number = split_member(water)
+    stem = whole.removesuffix(".toml")
+    return f"{stem}-base{whole[len(stem) :]}{'' if number is None else f'#{number}'}"

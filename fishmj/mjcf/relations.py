@@ -315,8 +315,8 @@ def _no_water(model: str) -> KeyFault | None:
     if model in (*known, "surrogate") or model.removesuffix("-base") in calib.waters():
         return None
     if model.endswith(".toml"):
-        if not (wrong := why_unreadable(model, "")):
-            return None
+        if not (wrong := why_unreadable(model, "")) or not why_unreadable(model.replace("-base.toml", ".toml"), ""):
+            return None  # of strips alone the file is that of the whole water
         return KeyFault(
             "water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH
         )

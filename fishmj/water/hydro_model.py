@@ -10,6 +10,7 @@ Nothing in either can run code.
 """
 
 import hashlib
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,6 +28,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.description_schema import shown
 from fishmj.mjcf.identity import body_sha256
 from fishmj.water import residual_hooks
+from fishmj.water.choice import FAMILY_SCHEMA
 from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import flat, unflat
 
@@ -236,6 +238,8 @@ class HydroModel:
     def load(cls, source: "str | Path") -> "HydroModel":
         """Reads a model by shipped name or path of its TOML; `NAME-base` is NAME without the residual, `NAME#2` its member 2.
 
+        The path `FOLDER/NAME-base.toml` is `FOLDER/NAME.toml` without the residual, unless there is such a file.
+
         Raises:
             UnknownName: no such model. StoreError: damaged, or the two files do not belong together. ConfigError: not a model, or
             no such member.
@@ -251,7 +255,9 @@ class HydroModel:
                 raise UnknownName("fitted water", str(source), shipped())
             model = cls.load(found[0])
             return model.base_only if str(source).endswith("-base") else model
-        return _read(path)
+        whole_file = str(path).replace("-base.toml", ".toml")
+        alone = not os.path.exists(path) and os.path.isfile(whole_file)  # a text that can be no path does not exist
+        return _read(Path(whole_file)).base_only if alone else _read(path)
 
 
 def member_of(model: HydroModel, number: "str | int") -> HydroModel:
@@ -274,8 +280,12 @@ def _read(path: Path) -> HydroModel:
         table = read_toml(path)
     except ConfigError as error:
         raise StoreError(str(error)) from error
-    if table.get("schema") != SCHEMA:
-        raise ConfigError(f"{path}: schema {table.get('schema')!r}, expected {SCHEMA!r}: this is not a fitted water")
+    if (schema := table.get("schema")) == FAMILY_SCHEMA:
+        one = f"name one of its members: {shown(table.get('members'), 200)}"
+        raise ConfigError(f"{path}: a family of waters, expected one fitted water; {one}")
+    if schema != SCHEMA:
+        got = "nothing" if schema is None else shown(schema)
+        raise ConfigError(f"{path} schema: got {got}, expected {SCHEMA!r} (a fitted water) or {FAMILY_SCHEMA!r} (a family)")
     check(table, str(path))
     try:
         checked(table["name"], "water", str(path))

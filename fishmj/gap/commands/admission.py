@@ -27,6 +27,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, FishmjError, LogError
+from fishmj.base.names import strips_of
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.gap.records import datasets
@@ -51,7 +52,7 @@ def searchable(robot: Robot, model: object) -> None:
         name = label(robot)
         raise ConfigError(
             f"the search swims strips, and water {name!r} has a learnt force, which it would leave out; take its strips,"
-            f" --water {name}-base, or structured"
+            f" --water {strips_of(name)}, or structured"
         )
     ticks = PERIOD / robot.timing.physics_dt
     if abs(ticks - round(ticks)) > 1e-6:
