@@ -1,18 +1,19 @@
 """A family of waters: what it draws, what it refuses, and that every front end draws it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fishmj import engines, suite
 from fishmj.base import calib
-from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base.errors import ConfigError, FishmjError, StoreError
 from fishmj.engines import extensions, planar_kernel
 from fishmj.mjcf.reading import load_robot
 from fishmj.sim import Sim
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.env import StationHold
+from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.gym.fish_env import FishEnv
 from fishmj.water import residual_step
 from fishmj.water.choice import chosen, family_in, family_of
@@ -30,7 +31,8 @@ DRAWS = np.random.default_rng(1).random((200, FAMILY.width))
 
 def test_a_family_is_chosen_by_its_kind_or_name_and_said_with_its_slip_ratios():
     said = chosen(load_robot("fish"), "family").said
-    assert "swift 1," in said and "swift-slip098 0.98" in said and "swift-reference 0.99" in said
+    assert "draws a water between the fits swift (slip 1), " in said
+    assert "swift-slip098 (slip 0.98)" in said and "swift-reference (slip 0.99)" in said
     assert family_in(FISH).sha256 == FAMILY.sha256 and family_in(load_robot("fish")) is None and family_of("swift") is None
     assert water_identity(FISH) == {"name": "swift-family", "kind": "family", "sha256": FAMILY.sha256}
     with pytest.raises(ConfigError, match="another body|none is fitted|family"):
@@ -157,21 +159,71 @@ def test_numpy_and_jax_draw_the_same_fish():
 
 def test_members_of_other_bodies_residuals_or_bounds_are_refused(tmp_path):
     first, second = FAMILY.members[:2]
-    with pytest.raises(ConfigError, match="another body_sha256"):
+    with pytest.raises(ConfigError, match="got waters of two bodies, 'swift' for robot 'swift' .* leave one out, or fit it"):
         WaterFamily("x", [first, replace(second, body_sha256="0" * 64)], scatter=0.1, residual=(0.5, 1.0))
-    with pytest.raises(ConfigError, match="residual of .* has another size"):
+    with pytest.raises(ConfigError, match="residual of .* has another size.*NAME-base"):
         WaterFamily("x", [first, replace(second, learnt=None)], scatter=0.1, residual=(0.5, 1.0))
     with pytest.raises(ConfigError, match="the smaller number first"):
         WaterFamily("x", [first, second], scatter=0.1, residual=(1.0, 0.5))
-    with pytest.raises(ConfigError, match="drag = .*the smaller number first"):
+    with pytest.raises(ConfigError, match=r"drag: got \[1.2, 0.5\], expected the smaller number first"):
         WaterFamily("x", [first, second], scatter=0.1, residual=(0.5, 1.0), drag=(1.2, 0.5))
-    path = tmp_path / "x-family.toml"
-    path.write_text('schema = "fishmj.water-family/1"\nname = "x"\nmembers = ["a", "b"]\nscatter = 0.1\nresidual = [0, 1]\n')
-    with pytest.raises(StoreError, match="a.toml"):
-        WaterFamily.load(path)
-    path.write_text('schema = "fishmj.water-family/1"\nname = "x"\nmembers = ["a"]\nscatter = 2.0\nresidual = [0, 1]\n')
-    with pytest.raises(ConfigError, match="members"):
-        WaterFamily.load(path)
+    with pytest.raises(ConfigError, match="got one water 2 times, expected at least two waters"):
+        WaterFamily("x", [first, first], scatter=0.1, residual=(0.5, 1.0))
+
+
+def family_file(folder: Path, **changed: str | None) -> Path:
+    """File of a family of two shipped waters, with other TOML values for some keys; None leaves a key out."""
+    lines = {"schema": '"fishmj.water-family/1"', "name": f'"{folder.name}"', "members": '["swift", "swift-slip099"]'}
+    lines |= {"scatter": "0.1", "residual": "[0.5, 1]"} | changed
+    path = folder / "own.toml"
+    path.write_text("".join(f"{key} = {value}\n" for key, value in lines.items() if value is not None))
+    return path
+
+
+@pytest.mark.parametrize(("changed", "said"), [
+    ({"drag": "[0.5]"}, "own.toml drag: got [0.5], expected two numbers above 0, 2 at most, the smaller first"),
+    ({"residual": "1"}, "own.toml residual: got 1, expected two numbers from 0 to 2"),
+    ({"scatter": None}, "own.toml scatter: got nothing, expected a number from 0 to 0.5"),
+    ({"members": '["swift"]'}, "own.toml members: got ['swift'], expected 2 to 32 names"),
+    ({"colour": "1"}, "own.toml colour: got an unknown key, expected one of schema, name, members"),
+    ({"members": '["swift", "pike-c"]'}, "own.toml members: 'pike-c': no such water beside the file"),
+    ({"members": '["swift", "swift"]'}, "own.toml members: got one water 2 times"),
+    ({"members": '["swift", "tendon_fish"]'}, "own.toml members: got waters of two bodies"),
+    ({"fastest": "[0.1]"}, "own.toml fastest: got 1 speeds, expected one for each of 2 members"),
+    ({"residual": "[1, 0.5]"}, "own.toml residual: got [1.0, 0.5], expected the smaller number first"),
+    ({"schema": '"fishmj.water-family/2"'}, "own.toml schema: got 'fishmj.water-family/2', expected 'fishmj.water/1' (a fitted"),
+    ({"schema": None}, "own.toml schema: got nothing, expected 'fishmj.water/1' (a fitted water) or 'fishmj.water-family/1'"),
+])  # fmt: skip
+def test_a_wrong_file_of_a_family_is_one_clear_error(tmp_path, changed, said):
+    with pytest.raises(FishmjError) as caught:
+        chosen(load_robot("fish"), str(family_file(tmp_path, **changed)))
+    assert said in str(caught.value) and "pydantic" not in str(caught.value)
+
+
+def test_a_family_takes_members_from_its_folder_then_shipped_ones(tmp_path):
+    HydroModel.load("swift-slip095").save(tmp_path)
+    path = family_file(tmp_path, members='["swift-base", "swift-slip095-base"]')
+    assert [one.name for one in family_of(str(path)).members] == ["swift-base", "swift-slip095-base"]
+    with pytest.raises(StoreError, match=r"'b': .* holds swift-slip095; fishmj comes with swift, "):
+        WaterFamily.load(family_file(tmp_path, members='["swift", "b"]'))
+
+
+def test_a_family_is_refused_where_one_water_is_needed(tmp_path):
+    with pytest.raises(ConfigError, match=r"own.toml: a family of waters, expected one fitted water; .*'swift-slip099'"):
+        HydroModel.load(family_file(tmp_path))
+    with pytest.raises(ConfigError, match="water 'family': no family comes with fishmj for robot 'tendon_fish'; write one"):
+        chosen(load_robot("tendon_fish"), "family")
+
+
+def test_streams_beyond_every_member_of_a_family_are_noted_once(tmp_path, capsys):
+    slow = str(family_file(tmp_path, fastest="[0.1, 0.12]"))
+    StationHold("fish", water=slow, options=Options(flow_speed=(0.0, 0.3)))
+    StationHold("fish", water="family")
+    assert not capsys.readouterr().err
+    StationHold("fish", water=slow)
+    FishEnv(water=slow)
+    said = capsys.readouterr().err
+    assert said.count("in streams from 0.1 m/s every fish swims in the fastest member, 'swift-slip099', which reaches 0.12") == 1
 
 
 def test_every_front_end_draws_a_water_of_its_own_an_episode():
@@ -219,5 +271,5 @@ def test_a_stream_draws_waters_in_which_the_fish_can_hold():
     assert np.allclose(drawn[none], flat(FAMILY.members[0].base))
     theirs = bounded.draw(jnp, jnp.asarray(DRAWS), stream=jnp.asarray(stream))
     assert np.allclose(drawn, theirs, rtol=2e-5, atol=1e-5)
-    with pytest.raises(ConfigError, match="fastest has 2 speeds; expected one for each of 3"):
+    with pytest.raises(ConfigError, match="fastest: got 2 speeds, expected one for each of 3"):
         WaterFamily("x", FAMILY.members[:3], scatter=0.0, residual=(1.0, 1.0), fastest=(1.0, 2.0))

@@ -144,6 +144,7 @@ class Trials:
     def fish(self, robot: Robot):
         """Randomised fish: (FishParams, camera delay in bus ticks (n,))."""
         uniforms = np.stack([t.draw(0).random(task.n_fish(robot)) for t in self.items])
+        task.warn_of_streams(robot, None, (self.speed.min(),), self.randomisation)
         return task.draw_fish(np, robot, uniforms, self.randomisation, stream=self.speed)
 
     def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:

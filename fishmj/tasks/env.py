@@ -148,6 +148,7 @@ class StationHold:
             raise ConfigError(
                 f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out"
             )
+        task.warn_of_streams(robot, self.course, options.flow_bounds, options.randomisation)
         self.limit = task.episode_steps(options.seconds, self.course, robot)
         self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
 

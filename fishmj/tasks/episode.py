@@ -272,6 +272,7 @@ class TaskSpec:
             raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
         self.dt = self.robot.timing.control_dt
+        task.warn_of_streams(self.robot, self.course, setting.flow_bounds, setting.randomisation)
         self.limit = task.episode_steps(setting.seconds, self.course, self.robot)
         self.table, self.cell = flow.table_of(setting.turbulence, flow.BOXES[setting.box])
         self.sensors = Sensors(self.robot)

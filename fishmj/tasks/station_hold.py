@@ -112,6 +112,13 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), str
     return fish, xp.minimum(sensors.ticks(xp, camera, rows, "pose"), most)
 
 
+def warn_of_streams(robot: Robot, course, bounds, strength: float = 1.0) -> None:
+    """Warns once where a family of waters has no choice even in the slowest stream; bounds (2,) m/s, None: the course's own."""
+    if strength > 0 and (family := family_in(robot)) is not None:
+        slowest = course.launch(np, np.zeros((1, N_START))).start.speed[0] if bounds is None else bounds[0]
+        family.warn_beyond(float(slowest))
+
+
 def _latency(timing: Timing, key: str, uniform, strength: float):
     """Nominal at strength 0, uniform in the drawn range at strength 1, s."""
     nominal = getattr(timing, key)

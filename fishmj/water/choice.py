@@ -98,6 +98,9 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     stated = canonical(robot.water.get("model"))
     if name == FAMILY:
         name = f"{robot.name}{calib.FAMILY}"
+        if name not in calib.families():
+            own = "write one and give its file, FILE.toml, as the water (docs/simulate/fitted_water.md, Families)"
+            raise ConfigError(f"water {FAMILY!r}: no family comes with fishmj for robot {robot.name!r}; {own}")
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:
@@ -220,8 +223,8 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
         _TOLD.add(about)
         console.warn(f"{about}: not used in the fitted water {name!r}; --water structured uses them")
     if family is not None:
-        fits = ", ".join(dict.fromkeys(f"{one.name} {one.slip:g}" for one in family.members))
-        return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between fits at slip {fits}")
+        fits = ", ".join(dict.fromkeys(f"{one.name} (slip {one.slip:g})" for one in family.members))
+        return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between the fits {fits}")
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
     preview = ", a preview" if model.preview else ""
     return WaterChoice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")

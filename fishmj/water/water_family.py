@@ -14,24 +14,25 @@ In a stream the fish could not hold in every such water: with v_m the speed of t
 
 Engines on a GPU take fish whose residual is the same side by side: of `MANY` fish or more, `RUN` neighbours have the same A.
 
-A family is a TOML file beside its members, `<name>.toml` with schema `fishmj.water-family/1`. Its first member is the water of a
-fish that is not randomised.
+A family is a TOML file, `<name>.toml` with schema `fishmj.water-family/1`. Its members lie beside it, or come with fishmj. The
+first is the water of a fish that is not randomised.
 """
 
 import hashlib
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fishmj.base import names
-from fishmj.base.calib import read_toml
-from fishmj.base.errors import ConfigError, StoreError
+from fishmj.base import calib, console, names
+from fishmj.base.errors import ConfigError, DescriptionError, StoreError
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description_schema import shown
 from fishmj.water import residual_hooks
 from fishmj.water.dynamics import planar_chain
-from fishmj.water.hydro_model import HydroModel
+from fishmj.water.hydro_model import HydroModel, shipped
 from fishmj.water.prior import STEEPEST, flat, names_of, unflat
 
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
@@ -40,6 +41,16 @@ DRAG = ("cn", "cf", "ca_forward", "ca_backward")
 N_FIXED = 6  # uniforms before those of the factors: A, B, w, e, factor of the residual's share, w of drag
 MANY, RUN = 4096, 128  # residual_step.FEWEST, planar_kernel.BLOCK
 RESERVE = 1.3  # speed of the fastest gait over that of the stream, at least: a fish has to turn and to make up ground
+EXPECTED = {
+    "schema": "'fishmj.water-family/1'",
+    "name": "1 to 64 letters, digits, '_', '.' or '-'",
+    "members": "2 to 32 names of fitted waters, without folder and .toml",
+    "scatter": "a number from 0 to 0.5",
+    "residual": "two numbers from 0 to 2, the smaller first",
+    "drag": "two numbers above 0, 2 at most, the smaller first",
+    "fastest": "for each member the speed of its fastest gait in m/s, above 0, 20 at most",
+    "commands": "texts: the commands that made the members",
+}
 
 
 class FamilyFile(BaseModel):
@@ -67,32 +78,40 @@ class WaterFamily:
         drag: mask (P,) of the drag's coefficients, and drag_factors their bounds; default, those of `scatter`.
         fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
     Raises:
-        ConfigError: members of different bodies or time steps, residuals of different sizes, or another number of speeds.
+        ConfigError: members of different bodies or time steps or all the same, residuals of different sizes, another number of
+        speeds, or reversed bounds. `where` begins the message: the file, by default the name.
     """
 
     def __init__(
-        self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float], drag=None, fastest=()
-    ):
+        self, name: str, members: list[HydroModel], *, scatter: float, residual: tuple[float, float], drag=None, fastest=(),
+        where: str = "",
+    ):  # fmt: skip
+        where = where or f"family {name}"
         if len(fastest) not in (0, len(members)):
-            raise ConfigError(
-                f"family {name}: fastest has {len(fastest)} speeds; expected one for each of {len(members)} members"
-            )
+            raise ConfigError(f"{where} fastest: got {len(fastest)} speeds, expected one for each of {len(members)} members")
         first = members[0]
-        for other in members[1:]:
-            for what in ("body_sha256", "dt"):
-                if getattr(other, what) != getattr(first, what):
-                    raise ConfigError(f"family {name}: {other.name} has another {what} than {first.name}; one body, one step")
+        fitted = [f"{one.name!r} for robot {one.robot!r} {(one.body_sha256 or one.robot_sha256)[:12]}" for one in members]
+        for other, its in zip(members[1:], fitted[1:], strict=True):
+            if other.body_sha256 != first.body_sha256:
+                todo = "leave one out, or fit it: python -m fishmj.hydro_fit --fish FILE"
+                raise ConfigError(f"{where} members: got waters of two bodies, {fitted[0]} and {its}, expected one body; {todo}")
+            if other.dt != first.dt:
+                got = f"{first.name!r} fitted at dt = {first.dt} s and {other.name!r} at {other.dt} s"
+                raise ConfigError(f"{where} members: got {got}, expected one time step; fit one again")
             if _shapes(other) != _shapes(first):
                 raise ConfigError(
-                    f"family {name}: the learnt residual of {other.name} has another size than that of {first.name}"
+                    f"{where} members: the learnt residual of {other.name!r} has another size than that of {first.name!r};"
+                    " give fits with networks of one size, or their strips alone (NAME-base)"
                 )
+        if len({model.sha256 for model in members}) == 1:
+            raise ConfigError(f"{where} members: got one water {len(members)} times, expected at least two waters; name another")
         residuals = {_residual_sha256(model): model.learnt for model in members if model.learnt is not None}
         self.nets = tuple(residuals.values())
         self.net = np.array([[*residuals].index(_residual_sha256(model)) if residuals else 0 for model in members])
         self.drag_factors = drag or (1.0 - scatter, 1.0 + scatter)
         for key, bounds in (("residual", residual), ("drag", self.drag_factors)):
             if bounds[0] > bounds[1]:
-                raise ConfigError(f"family {name}: {key} = {bounds}; expected the smaller number first")
+                raise ConfigError(f"{where} {key}: got {list(bounds)}, expected the smaller number first; exchange the two")
         self.name, self.members, self.scatter, self.residual = name, members, scatter, residual
         self._own = [] if drag is None else [drag]  # what older families do not state
         self.names = names_of(len(first.base.k))
@@ -141,6 +160,15 @@ class WaterFamily:
         share = base[0, -1] + strength * (drawn[:, -1] * (low + (high - low) * u[:, 4]) - base[0, -1])
         return self._coefficients(xp, rows, share)
 
+    def warn_beyond(self, slowest: float) -> None:
+        """Warns once if in streams of `slowest` m/s and more every draw is the fastest member."""
+        if len(self.fastest) and RESERVE * slowest > (top := self.fastest.max()):
+            member = self.members[int(np.argmax(self.fastest))].name
+            _warn(
+                f"water {self.name!r}: in streams from {slowest:g} m/s every fish swims in the fastest member, {member!r}, which"
+                f" reaches {top:g} m/s, less than {RESERVE:g} times that; check fastest, or take slower streams"
+            )
+
     def net_of(self, xp, uniforms, strength: float = 1.0):
         """Which of `nets` acts in the waters of `draw`, (B,) int."""
         own = xp.asarray(self.net)[self._drawn(xp, uniforms)[0]]
@@ -186,16 +214,46 @@ class WaterFamily:
             StoreError: it or a member is missing or damaged. ConfigError: not a family, or members that do not belong together.
         """
         try:
-            table = read_toml(path)
+            table = calib.read_toml(path)
         except ConfigError as error:
             raise StoreError(str(error)) from error
+        where, bounds = calib.shown_path(path), [key for key in ("residual", "drag") if isinstance(table.get(key), list)]
         try:
-            found = FamilyFile.model_validate({key: tuple(v) if key in ("residual", "drag") else v for key, v in table.items()})
-        except (ValidationError, TypeError) as error:
-            raise ConfigError(f"{path}: not a family of waters: {error}") from error
-        members = [HydroModel.load(path.with_name(f"{member}.toml")) for member in found.members]
+            found = FamilyFile.model_validate(table | {key: tuple(table[key]) for key in bounds})
+        except ValidationError as error:
+            raise DescriptionError(_faults(error, table, where)) from error
+        members = [_member(path, where, member) for member in found.members]
         more = {"drag": found.drag, "fastest": found.fastest}
-        return cls(found.name, members, scatter=found.scatter, residual=found.residual, **more)
+        return cls(found.name, members, scatter=found.scatter, residual=found.residual, where=where, **more)
+
+
+def _faults(error: ValidationError, table: dict, where: str) -> list[str]:
+    """One line for each wrong key of a family's file."""
+    lines = []
+    for key in dict.fromkeys(str(entry["loc"][0]) for entry in error.errors()):
+        got = (shown(table[key]) if key in EXPECTED else "an unknown key") if key in table else "nothing"
+        expected = EXPECTED.get(key) or f"one of {', '.join(EXPECTED)}"
+        lines.append(f"{where} {shown(key)[1:-1]}: got {got}, expected {expected}; see docs/simulate/fitted_water.md, Families")
+    return lines
+
+
+def _member(path: Path, where: str, name: str) -> HydroModel:
+    """Member of a family: the water of that name beside the file, else the one that comes with fishmj."""
+    if any(path.with_name(f"{one}.toml").exists() for one in (name, name.removesuffix("-base"))):
+        return HydroModel.load(path.with_name(f"{name}.toml"))
+    if name.removesuffix("-base") in shipped():
+        return HydroModel.load(name)
+    beside = sorted(one.stem for one in path.parent.glob("*.toml") if one.name != path.name)
+    holds = f"{calib.shown_path(path.parent)} holds {', '.join(beside[:20]) or 'no other .toml file'}"
+    raise StoreError(
+        f"{where} members: {name!r}: no such water beside the file; {holds}; fishmj comes with {', '.join(shipped())}"
+    )
+
+
+@cache
+def _warn(message: str) -> None:
+    """Warns once."""
+    console.warn(message)
 
 
 def _shapes(model: HydroModel):
