@@ -151,6 +151,7 @@ COMMANDS: dict[str, list[str]] = {
     "hydro_fit_seeds_dotted": ["hydro_fit", "ablation", "--seeds", "0..3", "--out", "fits"],
     "hydro_fit_check_of_a_model_and_of_none": ["hydro_fit", "check", "--model", "swift", "--prior"],
     "hydro_fit_name_of_nothing": ["hydro_fit", "check", "--name", "mine"],
+    "hydro_fit_correct_bounds_reversed": ["hydro_fit", "correct", "pd", "--flow-speeds", "0.2,0.1"],
     "hydro_fit_rank_the_same": ["hydro_fit", "rank", "pd", "pd", "--out", "ranks"],
     "lbm_oracle_case_typo": ["lbm_oracle", "cases", "poiseuile"],
     "lbm_oracle_two_of_three_joints": ["lbm_oracle", "swim", "--preset", "laptop", "--amplitude", "30", "20"],

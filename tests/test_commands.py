@@ -335,8 +335,6 @@ hydro_fit collect --device cdua | Did you mean 'cuda'
 hydro_fit hybrid --seconds 1 | --seconds
 hydro_fit correct | POLICY
 hydro_fit correct pd --rounds 0 | --rounds
-hydro_fit correct pd --flow-speeds 0.2,0.1 | expected the smaller number first
-train --flow-speeds 0.4,0.1 | expected the smaller number first
 hydro_fit rank --trials 73 | --trials
 hydro_fit rank --again 4 | --again
 lbm_oracle cases poisseuille | Did you mean 'poiseuille'
