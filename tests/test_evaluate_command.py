@@ -89,7 +89,7 @@ def test_two_trials_report_no_interval_or_star_and_state_the_reason(capsys, tmp_
     assert found["results"][1]["by_speed"]["0.2"]["power"]["low"] is None
     power = next(d for d in found["paired"] if d["key"] == "power")
     assert (power["n"], power["low"], power["welch_p"], power["why"]) == (2, None, None, why)
-    assert any(line.startswith("pd: arrival") and line.endswith(why) for line in table)
+    assert any(line.startswith("pd: power") and line.endswith(why) for line in table)
     row = next(line for line in table if line.startswith("| power"))
     assert why in row and "*" not in row and "(" not in row
     assert (tmp_path / "o" / "report.html").read_text(encoding="utf-8").count(why) >= 3

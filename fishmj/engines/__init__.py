@@ -116,7 +116,7 @@ def of(engine: Any, robot: Robot):
     """
     if engine is None or isinstance(engine, str):
         return make(fastest() if engine is None else engine, robot)
-    if not callable(getattr(engine, "advance", None)):
+    if isinstance(engine, type) or not callable(getattr(engine, "advance", None)):
         raise ConfigError(f"engine = {shown_value(engine)}; expected one of {', '.join(NAMES)}, or an engine, with `advance`")
     return engine
 

@@ -1,6 +1,6 @@
 """Results of a judgement: the time series of every trial, one figure a trial for each key, and their statistics.
 
-    arrival             1 if the fish enters 0.1 m within 30 s
+    arrival             1 if the fish enters 0.1 m within 30 s; none if it has not when a shorter trial ends in the domain
     approach_time       s, of the first entry
     rmse_after_arrival  m, sqrt(mean d^2) from first entry to 30 s; without arrival 10 to 30 s
     rmse_last20, rmse_total     m, over 40 to 60 s and 0 to 30 s
@@ -72,6 +72,9 @@ COURSE_UNITS = {
     "on_path": "1",
     "tracking_rmse": "m",
 }
+NEEDS = {"arrival": "arrival_time", "approach_time": "arrival_time", "rmse_after_arrival": "arrival_time"}
+NEEDS |= {"rmse_last20": "steady_window", "rmse_total": "arrival_time"}
+NEEDS |= dict.fromkeys(("rheotactic_index", "rheotactic_index_linear"), "rheotaxis_window")  # its end is the shortest trial
 LEADING = {
     HOLD: "rmse_after_arrival",
     ANGLE: "rmse_total",
@@ -135,7 +138,7 @@ def hold_figures(r: Result) -> dict[str, np.ndarray]:
     since = np.where(arrived, r.t[first], window("missed_window")[0])
     cosine, linear = (np.where(r.trials.speed > 0, index, np.nan) for index in rheotaxis(r))
     return {
-        "arrival": arrived.astype(float),
+        "arrival": np.where(~arrived & (r.t[-1] < end - 1e-9) & (r.left >= len(r.t)), np.nan, arrived),
         "approach_time": np.where(arrived, r.t[first], np.nan),
         "rmse_after_arrival": rms(r, since, end),
         "rmse_last20": rms(r, *window("steady_window")),
@@ -281,19 +284,26 @@ def too_few(n: int) -> str:
     return f"too few trials for an interval: {n} of {ENOUGH}" if n < ENOUGH else ""
 
 
-def estimate(key: str, values) -> IntervalEstimate:
-    """Mean or median of (n,) figures without NaN, with a bootstrap interval over trials."""
+def too_short(trials: Trials) -> dict[str, str]:
+    """Reason for each key whose window lies beyond the end of these trials."""
+    ends = {key: np.max(constant("protocol", name)) for key, name in NEEDS.items() if trials.task == HOLD}
+    short = f"trials of {trials.duration:g} s are too short; expected"
+    return {key: f"{short} {end:g} s" for key, end in ends.items() if trials.duration < end - 1e-9}
+
+
+def estimate(key: str, values, short: str = "") -> IntervalEstimate:
+    """Mean or median of (n,) figures without NaN, with a bootstrap interval over trials; short: reason if too few have one."""
     x = np.asarray(values, float)
     x = x[np.isfinite(x)]
     middle = np.median if key in MEDIANS else np.mean
     value = float(middle(x)) if len(x) else np.nan
     if why := too_few(len(x)):
-        return IntervalEstimate(value, np.nan, np.nan, len(x), why)
+        return IntervalEstimate(value, np.nan, np.nan, len(x), short or why)
     return IntervalEstimate(value, *_interval(middle(resampled(x), -1)), len(x))
 
 
-def difference(key: str, a, b) -> PairedDifference:
-    """Paired difference b - a of (n,) figures of the same trials; pairs with a NaN are left out."""
+def difference(key: str, a, b, short: str = "") -> PairedDifference:
+    """Paired difference b - a of (n,) figures of the same trials; pairs with a NaN are left out. short: as in `estimate`."""
     from scipy.stats import ttest_ind_from_stats
 
     a, b = np.asarray(a, float), np.asarray(b, float)
@@ -301,7 +311,7 @@ def difference(key: str, a, b) -> PairedDifference:
     a, b = a[both], b[both]
     value = float(np.mean(b - a)) if len(a) else np.nan
     if why := too_few(len(a)):
-        return PairedDifference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, why)
+        return PairedDifference(key, value, np.nan, np.nan, len(a), np.nan, np.nan, short or why)
     low, high = _interval(resampled(b - a).mean(-1))
     t = p = np.nan
     if np.ptp(a) > 0 or np.ptp(b) > 0:
@@ -354,26 +364,28 @@ def summary(result: Result) -> dict:
     found = figures(result)
     trials = result.trials
     degrees = np.round(np.degrees(trials.los)).astype(int)
+    short = too_short(trials)
     return {
         "controller": result.controller,
         "policy": result.policy,
         **({} if trials.task == HOLD else {"task": trials.task}),
         "n": len(trials),
-        "overall": gather(found),
-        "by_speed": {f"{u:g}": gather(found, trials.speed == u) for u in np.unique(trials.speed)},
-        "by_los": {f"{b}": gather(found, degrees == b) for b in np.unique(degrees)},
+        "overall": gather(found, short=short),
+        "by_speed": {f"{u:g}": gather(found, trials.speed == u, short) for u in np.unique(trials.speed)},
+        "by_los": {f"{b}": gather(found, degrees == b, short) for b in np.unique(degrees)},
         "left_domain": int(np.sum(result.left < len(result.t))),
     }
 
 
-def gather(found: dict, rows=slice(None)) -> dict:
-    """Estimates {key: {value, low, high, n, why, unit}} of some trials."""
-    return {key: {**estimate(key, x[rows])._asdict(), "unit": (UNITS | COURSE_UNITS)[key]} for key, x in found.items()}
+def gather(found: dict, rows=slice(None), short: dict | None = None) -> dict:
+    """Estimates {key: {value, low, high, n, why, unit}} of some trials; short: of `too_short`."""
+    one = lambda key, x: estimate(key, x[rows], (short or {}).get(key, ""))._asdict()
+    return {key: {**one(key, x), "unit": (UNITS | COURSE_UNITS)[key]} for key, x in found.items()}
 
 
 def compare(first: Result, second: Result) -> list[PairedDifference]:
     """Differences second minus first for every key, over the same trials. Raises ConfigError if the trials are not the same."""
     if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
         raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
-    a, b = figures(first), figures(second)
-    return [difference(key, a[key], b[key]) for key in a]
+    a, b, short = figures(first), figures(second), too_short(first.trials)
+    return [difference(key, a[key], b[key], short.get(key, "")) for key in a]

@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.options import checked
+from fishmj.base.options import checked, shown_value
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.reference import COURSES, EpisodeStart
@@ -251,6 +251,9 @@ def trials(
     for name, values, bounds in (("speeds", speeds, (0, 1)), ("los_deg", los_deg, ())):
         for value in values:
             checked(f"trials: {name}", value, *bounds)
+        kinds = [value % 360 for value in values] if name == "los_deg" else list(values)
+        if twice := [value for value, kind in zip(values, kinds, strict=True) if kinds.count(kind) > 1]:
+            raise ConfigError(f"trials: {name} = {shown_value(list(values))}: {twice[-1]:g} stands there twice; name each once")
     repeats, seed = checked("trials: repeats", repeats, 1, whole=True), checked("trials: seed", seed, 0, whole=True)
     key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))
     items = tuple(

@@ -19,10 +19,12 @@ import numpy as np
 
 from fishmj import control, engines
 from fishmj.base import console, interrupt, store
-from fishmj.base.calib import calib_folder
+from fishmj.base.calib import calib_folder, constant
 from fishmj.base.errors import ConfigError, SimDiverged, StoreError
+from fishmj.base.options import checked, checked_array, checked_kind, shown_value
 from fishmj.base.source import package_sha256
 from fishmj.control.learned import LearnedController
+from fishmj.control.policy import Policy
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
@@ -50,25 +52,45 @@ def run(
     robot: "Robot | str" = "fish",
     trials: Trials | None = None,
     engine="batch",
-    seed: int = 0,
+    seed: int | None = None,
     shift: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[int], object] = lambda step: None,
 ) -> Result:
     """Judges one controller.
 
     Args:
-        controller: name, policy file, or an object with `reset` and `__call__` (see `fishmj.control`).
-        trials: default, the 72 trials with `seed`.
-        engine: name or engine.
+        controller: name, policy file, or an object with `name`, `reset` and `__call__` (see `fishmj.control`).
+        robot: a description is in the engine's water where an engine is given, otherwise in its own or the default one.
+        trials: default, the 72 trials with `seed` (default 0).
+        engine: name or engine; None is the fastest one here.
         shift: offset in m of every fish from the start of its trial; its camera has not seen it yet.
         progress: called with the number of control steps done.
 
-    Raises SimDiverged: names the trial.
+    Raises SimDiverged: names the trial. ConfigError: an invalid argument, or an engine whose fish swims in another water.
     """
-    robot = in_water(load_robot(robot)) if isinstance(engine, str) else load_robot(robot)
-    trials = protocol.trials(seed=seed) if trials is None else trials
-    controller = control.make(controller, robot) if isinstance(controller, str) else controller
+    chosen_here = engine is None or isinstance(engine, str) or not isinstance(robot, Robot)
+    robot = in_water(load_robot(robot)) if chosen_here else load_robot(robot)
+    if trials is not None and seed is not None:
+        raise ConfigError(f"evaluate.run: seed = {shown_value(seed)} beside trials, which have their own; leave one of them out")
+    trials = checked_kind("evaluate.run: trials", trials, Trials) or protocol.trials(seed=0 if seed is None else seed)
+    bound = constant("task", "bound")
+    for offset in checked_array("evaluate.run: shift", shift, (2,)):
+        checked("evaluate.run: shift", offset, -bound, bound)
+    if not callable(progress):
+        raise ConfigError(f"evaluate.run: progress = {shown_value(progress)}; expected a function of the number of control steps")
+    controller = control.make(controller, robot) if isinstance(controller, str | Path) else _checked_controller(controller)
     return engines.drained(running(controller, robot, trials, engine, shift, progress))
+
+
+def _checked_controller(controller):
+    """Returns an object that steers. Raises ConfigError, for example for a `Policy` or a class."""
+    if isinstance(controller, Policy):
+        raise ConfigError("evaluate.run: controller is a Policy; expected its name or file: save it with policy.save(FILE)")
+    steers = callable(controller) and callable(getattr(controller, "reset", None)) and hasattr(controller, "name")
+    if isinstance(controller, type) or not steers:
+        what = "a name, a policy file, or an object (no class) with `name`, `reset(n)` and `__call__(obs)`"
+        raise ConfigError(f"evaluate.run: controller = {shown_value(controller)}; expected {what}")
+    return controller
 
 
 def running(controller, robot: Robot, trials: Trials, engine, shift, progress: Callable[[int], object]) -> engines.Steps[Result]:

@@ -21,7 +21,7 @@ from fishmj.base.errors import FishmjError, StoreError
 from fishmj.base.pages import Section, figure, part, report, table
 from fishmj.base.store import clear, write_text
 from fishmj.engines.hybrid.online_correction import KINDS
-from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, figures, rms
+from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, figures, rms, too_few
 from fishmj.evaluate.plots import PICTURES
 from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
 from fishmj.evaluate.trial_logs import MARKS, corrections, name_of, trial_of, write_logs
@@ -132,7 +132,7 @@ def unbounded(summaries: list[dict]) -> list[str]:
     found: dict[tuple[str, str], list[str]] = {}
     for s in summaries:
         for key, e in s["overall"].items():
-            if e["why"] and e["n"]:
+            if e["why"] and (e["n"] or e["why"] != too_few(0)):
                 found.setdefault((s["controller"], e["why"]), []).append(SHORT[key][0])
     return [f"{name}: {', '.join(heads)}: {why}" for (name, why), heads in found.items()]
 
@@ -337,7 +337,7 @@ def headline(results: list[Result]) -> str:
             )
         return f"{words}; {against(first, other)}." if other else f"{words}."
     after, n = found["rmse_after_arrival"], len(first.trials)
-    words = f"{first.controller} arrives in {int(found['arrival'].sum())} of {n} trials"
+    words = f"{first.controller} arrives in {int(np.nansum(found['arrival']))} of {n} trials"
     if not np.isfinite(after).all():
         return f"{words}, which are too short to judge how it holds."
     words += f" and holds station in {trials_held(first)} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
