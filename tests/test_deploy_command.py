@@ -52,6 +52,7 @@ BAD = {
     "--link serial:/dev/none --camera shm:none --calibration nowhere.toml": "nowhere.toml",
     "--link udp://127.0.0.1:9 --camera loopback": "only with --link loopback",
     "--loopback '": "No closing quotation",
+    "--flow 0.1,3.14 --loopback=--flow=0.3,0": "--flow 0.1,3.14 beside --loopback '--flow 0.3,0'",
     "--servo-ids 4,5,6": "--servo-ids has an effect with --link serial:DEVICE or --protocol servo-bus only",
     "--link udp://127.0.0.1:9 --baud 115200": "--baud has an effect with --link serial:DEVICE",
     "--link serial:/dev/none --protocol mish-fixed": "--protocol has an effect with --link udp://HOST or loopback only",

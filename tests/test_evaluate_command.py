@@ -46,6 +46,12 @@ def run_command(capsys, *argv) -> tuple[int, str, str]:
     return code, out.out, out.err
 
 
+def test_water_family_without_randomisation_names_the_fit_that_is_judged(capsys):
+    words = "drift --water family --no-randomisation --speeds 0.2 --los 0 --repeats 1 --duration 1 --engine planar"
+    code, out, _ = run_command(capsys, *words.split())
+    assert code == 0 and "--no-randomisation: the first fit alone, swift" in out.splitlines()[0]
+
+
 def test_a_wrong_controller_is_exit_2_with_the_nearest_name(capsys):
     code, _, err = run_command(capsys, "drit")
     assert code == 2 and "Did you mean 'drift'" in err

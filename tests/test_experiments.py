@@ -421,6 +421,9 @@ def test_list_of_experiments_loads_none_of_the_heavy_packages():
     [
         (["aproach"], "Did you mean 'approach'"),
         (["approach", "--reference"], "of --water lbm only"),
+        (["approach", "--trained", "runs/a"], "--trained has an effect with ablations only"),
+        (["--quick"], "--quick without a NAME"),
+        (["--out", "runs/a"], "--out without a NAME"),
         (["ablations", "--trained", "no_such_folder"], "no policy of the variant 'complete'"),
         (["approach", "--water", "hybrid"], "experiments swims in"),
         (["approach", "--policy", "statoin"], "station"),

@@ -182,7 +182,8 @@ def main(argv: list[str]) -> int:
                     save(args.out, results, findings(results, args))
             return report(results, args)
     args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
-    begin(water, brains)
+    family = choice.family_in(robot) if args.no_randomisation else None
+    begin(water, brains, f"; --no-randomisation: the first fit alone, {family.members[0].name}" if family else "")
     moved_by = args.engine if args.hybrid is None else args.hybrid.label(robot)
     kept = FinishedTrials(args.out, robot, trials, moved_by, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):

@@ -302,7 +302,7 @@ def estimate(key: str, values, short: str = "") -> IntervalEstimate:
     return IntervalEstimate(value, *_interval(middle(resampled(x), -1)), len(x))
 
 
-def difference(key: str, a, b, short: str = "") -> PairedDifference:
+def difference(key: str, a, b, *, short: str = "") -> PairedDifference:
     """Paired difference b - a of (n,) figures of the same trials; pairs with a NaN are left out. short: as in `estimate`."""
     from scipy.stats import ttest_ind_from_stats
 
@@ -388,4 +388,4 @@ def compare(first: Result, second: Result) -> list[PairedDifference]:
     if [t.seed for t in first.trials.items] != [t.seed for t in second.trials.items]:
         raise ConfigError(f"compare: {first.controller} and {second.controller} were judged on different trials")
     a, b, short = figures(first), figures(second), too_short(first.trials)
-    return [difference(key, a[key], b[key], short.get(key, "")) for key in a]
+    return [difference(key, a[key], b[key], short=short.get(key, "")) for key in a]

@@ -11,6 +11,7 @@ import shutil
 import sys
 import tempfile
 from argparse import ArgumentTypeError
+from cmath import rect
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -142,7 +143,20 @@ def parsed(made: console.Parser, argv: list[str]) -> Any:
         "a camera other than the loopback's, which draws its own marks": (seen, (*tag, *paint)),
     }
     console.refuse_unheeded(made.prog.removeprefix("fishmj "), args, made, needs)
+    if (mine := getattr(args, "flow", None)) is not None and (theirs := _loopback_flow(args.loopback)) is not None:
+        if abs(rect(*mine) - rect(*theirs)) > 1e-6:
+            both = f"--flow {mine[0]:g},{mine[1]:g} beside --loopback '--flow {theirs[0]:g},{theirs[1]:g}'"
+            raise ConfigError(f"{both}: the log would state another stream than the robot swims in; give the same twice")
     return args
+
+
+def _loopback_flow(words: str | None) -> tuple[float, float] | None:
+    """Stream, m/s and rad, that the options of the loopback robot state; None if they state none or a wrong one."""
+    stated = re.findall(r"--flow[=\s]+['\"]?([-+.\de]+),([-+.\de]+)", words or "")
+    try:
+        return (float(stated[-1][0]), float(stated[-1][1])) if stated else None
+    except ValueError:
+        return None
 
 
 def wire(args: Any, robot: Robot, stack: ExitStack) -> Wired:

@@ -58,6 +58,11 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """Runs the verb `experiments`; returns the exit code."""
     args = options().parse_args(argv)
+    stated = {"--quick": args.quick, "--out": args.out != Path(OUT), "--trained": args.trained}
+    if not args.names and (unused := [option for option, value in stated.items() if value]):
+        raise ConfigError(f"experiments: {unused[0]} without a NAME, which only lists the experiments; add names or {ALL}")
+    if args.trained and not {TRAINED[1], ALL} & set(args.names):
+        raise ConfigError(f"experiments: --trained has an effect with {TRAINED[1]} only; leave it out, or add {TRAINED[1]}")
     setup = setup_of(args)
     if not args.names:
         console.say(console.table(listed(setup)), "", "add names or all; --quick for a preview; compiling adds some 15 s of CPU")
