@@ -18,7 +18,8 @@ SECONDS = 12.0
 
 def environment(turbulence: str):
     """One `rl.control.Environment`; `random` is its seed."""
-    task = {"random": 4, "flow_speed": SPEED, "turbulence": turbulence, "intensity": 0.1, "seconds": SECONDS}
+    task = {"random": 4, "flow_speed": SPEED, "turbulence": turbulence, "seconds": SECONDS}
+    task["intensity"] = 0.0 if turbulence == "none" else 0.1  # still water has no eddies
     return suite.load("fish", "station_hold", task_kwargs=task, environment_kwargs={"flat_observation": True})
 
 

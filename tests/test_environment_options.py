@@ -66,6 +66,8 @@ JAX = [
     (lambda: environment().step(None, push(2)), r"state = None; expected fishmj.tasks.env.EnvState"),
 ]
 TASKS = [
+    (lambda: TaskOptions(turbulence="none", intensity=0.3), "intensity = 0.3 with turbulence none"),
+    (lambda: TaskOptions(flow_exponent=2, flow_speed=0.2), "flow_exponent = 2 with flow_speed = 0.2"),
     (lambda: TaskOptions(flow_direction="west"), "flow_direction = 'west'; expected a finite number"),
     (lambda: TaskOptions(flow_speed="fast"), "flow_speed = 'fast'"),
     (lambda: TaskOptions(flow_speed=(0.3, 0.1)), "flow_speed"),
@@ -96,8 +98,12 @@ GYM = [
     (lambda: FishEnv().reset(options={"pose": "abc"}), "pose = 'abc'; expected shape"),
     (lambda: FishEnv().reset(options={"speed": -0.1}), "speed = -0.1; expected a number from 0 to 5"),
     (lambda: FishEnv().reset(options={"pose": (5, 5, 0)}), "expected a place inside the task's domain"),
-    (lambda: begun(FishEnv()).step([[0], [0, 0], 0]), r"action = .*expected finite numbers of shape \(1, 3\)"),
-    (lambda: begun(FishEnv()).step(np.zeros(3, complex)), r"action = .*expected finite numbers of shape \(1, 3\)"),
+    (lambda: FishEnv().reset(options={"target": (9, 0)}), "target = .*; expected a place inside the task's domain"),
+    (lambda: begun(FishEnv()).step([[0], [0, 0], 0]), r"action = .*expected finite numbers of shape \(3,\)"),
+    (lambda: begun(FishEnv()).step(np.zeros(3, complex)), r"action = .*expected finite numbers of shape \(3,\)"),
+    (lambda: begun(FishEnv()).step(np.zeros((1, 3))), r"action of shape \(1, 3\); expected finite numbers of shape \(3,\)"),
+    (lambda: begun(FishEnv()).step([0, np.inf, 0]), "action of joint 1: inf; expected finite"),
+    (lambda: begun(FishVectorEnv(2)).step([[0, 0, 0], [0, 0, NAN]]), "action of fish 1, joint 2: nan; expected finite"),
     (lambda: begun(FishVectorEnv(2)).step([[0], [0, 0]]), r"action = .*expected finite numbers of shape \(2, 3\)"),
 ]
 SUITE = [

@@ -52,6 +52,8 @@ class Options(DrawOptions):
         self.begins(self.course)
         for name in checked_names("task: hide", self.hide):
             checked_name("observation group", name, task.GROUPS)
+        if set(self.hide) == set(task.GROUPS):
+            raise ConfigError(f"task: hide = {', '.join(self.hide)}, all groups: the policy would see nothing; leave one out")
 
 
 class EnvState(NamedTuple):

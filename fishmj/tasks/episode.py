@@ -169,6 +169,10 @@ class DrawOptions:
         checked_name("turbulence", self.turbulence, flow.PRESETS)
         checked_name("box", self.box, flow.BOXES)
         self.intensity_bounds, self.flow_bounds  # noqa: B018  (checks them)
+        if self.turbulence == "none" and self.intensity_bounds[0] > 0:
+            raise ConfigError(
+                f"task: intensity = {self.intensity} with turbulence none, which has no eddies; leave one of them out"
+            )
         if self.seconds is not None:
             checked("task: seconds", self.seconds, 0, LARGEST["seconds"])
         for name in ("randomisation", "noise"):
@@ -176,6 +180,9 @@ class DrawOptions:
         checked_names("task: effects", self.effects)
         checked("task: at_target", self.at_target, 0, 1)
         checked("task: flow_exponent", self.flow_exponent, 0.1, 10)
+        if self.flow_exponent != 1 and self.flow_bounds is not None and self.flow_bounds[0] == self.flow_bounds[1]:
+            one = f"flow_speed = {self.flow_bounds[0]}, one speed that is not drawn"
+            raise ConfigError(f"task: flow_exponent = {self.flow_exponent} with {one}; leave it out, or give (low, high)")
 
     def begins(self, course: str) -> None:
         """Raises ConfigError if the task so named has no episodes that could begin at the target."""

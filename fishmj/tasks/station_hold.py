@@ -233,9 +233,23 @@ def outside(xp, pose):
 def acting(action, shape: tuple, who: str) -> np.ndarray:
     """Returns the action for the bus and the reward: float64, clipped to [-1, 1].
 
-    Raises ConfigError: another shape, not numbers, or not finite.
+    Raises ConfigError: another shape, not numbers, or not finite, with the place of the first such number.
     """
-    return np.clip(checked_array(f"{who}: action", action, shape), -1.0, 1.0)
+    try:
+        return np.clip(checked_array(f"{who}: action", action, shape), -1.0, 1.0)
+    except ConfigError as error:
+        try:
+            given = np.full(shape, 0.0) if np.iscomplexobj(action) else np.asarray(action, float)
+        except (TypeError, ValueError):
+            raise error from None
+        if given.shape != shape:
+            raise ConfigError(f"{who}: action of shape {given.shape}; expected finite numbers of shape {shape}") from None
+        for place in np.argwhere(~np.isfinite(given))[:1].tolist():
+            named = ", ".join(f"{what} {i}" for what, i in zip(("fish", "joint")[-len(place) :], place, strict=True))
+            raise ConfigError(
+                f"{who}: action of {named}: {given[tuple(place)]}; expected finite numbers of shape {shape}"
+            ) from None
+        raise
 
 
 def chunk(xp, robot: Robot, previous, action):

@@ -27,7 +27,7 @@ from fishmj.mjcf.from_above import FromAbove, coarse_skin
 from fishmj.tasks.episode import LARGEST as LARGEST_OPTIONS
 from fishmj.tasks.episode import Draws, EpisodeDraw, Episodes, StepResult, TaskSpec, options_for
 from fishmj.tasks.reference import named
-from fishmj.tasks.station_hold import input_scale, spans
+from fishmj.tasks.station_hold import acting, input_scale, spans
 
 SIDE = 480  # pixels
 # Bounds of the observations, which Gymnasium requires to be finite: several times the values inside the domain, so that clipping
@@ -81,7 +81,7 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
     """Starts that `reset(options=...)` fixes, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
 
     Raises ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
-    the episode would end at once.
+    the episode would end at once; a target there.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
     own = getattr(rules.course, "decides", ())
@@ -101,10 +101,10 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
             ) from error
         if not np.isfinite(fixed[name]).all():
             raise ConfigError(f"reset: option {name} = {shown_value(value)} is not finite")
-    if "pose" in fixed and np.any(rules.outside(np, fixed["pose"])):
-        raise ConfigError(
-            f"reset: option pose = {shown_value(fixed['pose'].tolist())}; expected a place inside the task's domain"
-        )
+    for name in ("pose", "target"):
+        if name in fixed and np.any(rules.outside(np, np.pad(fixed[name], [(0, 0), (0, 3 - widths[name][0])]))):
+            place = shown_value(fixed[name].tolist())
+            raise ConfigError(f"reset: option {name} = {place}; expected a place inside the task's domain")
     for speed in fixed.get("speed", ()):
         checked("reset: option speed", speed, 0, LARGEST_OPTIONS["flow_speed"])
     return fixed
@@ -208,7 +208,7 @@ class FishEnv(_Fish, gymnasium.Env):
     def step(self, action):
         """Does one control step."""
         self._need_reset()
-        out = self.episodes.step([action])
+        out = self.episodes.step([acting(action, (self.rules.n_act,), self.rules.name)])
         info = {"distance": float(out.distance[0]), "power": float(out.power[0]), "diverged": bool(out.diverged[0])}
         return self._observe(), float(out.reward[0]), bool(out.terminated[0]), bool(out.truncated[0]), info
 
