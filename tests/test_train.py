@@ -298,7 +298,7 @@ def test_settings_survive_json(name):
         ("--robot fsh", "Did you mean 'fish'?"),
         ("--command-path lin", "Did you mean 'linear'?"),
         ("--critic privileg", "Did you mean 'privileged'?"),
-        ("--algo sac --critic plain", "unknown setting of sac 'privileged'"),
+        ("--algo sac --critic plain", "--critic is a setting of ppo, not of sac; leave it out"),
         ("--reward wD", "argument --reward: 'wD': expected wG=, wD=, wS= and a number"),
         ("--reward wX=1", "argument --reward: got 'wX'"),
         ("--hidden 64,x", "argument --hidden: got 'x', expected a whole number from 1 to 8192"),

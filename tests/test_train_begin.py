@@ -41,6 +41,15 @@ def test_other_algorithms_and_other_structures_are_refused():
         begin_with("station", change(preset("quick"), robot="tendon_fish"), {})
 
 
+@pytest.mark.slow
+def test_resumed_run_that_is_complete_says_that_nothing_is_trained(tmp_path, capsys):
+    words = ["--preset", "quick", "--envs", "16", "--horizon", "8", "--minibatches", "1", "--hidden", "8", "--steps", "256"]
+    assert console.run(main, [*words, "--out", str(tmp_path / "run")]) == console.OK
+    assert "nothing is trained" not in capsys.readouterr().err
+    assert console.run(main, ["--resume", "--steps", "100", "--out", str(tmp_path / "run")]) == console.OK
+    assert "has 256 control steps of 100: nothing is trained; more with --steps" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("other", ["--resume", "--together"])
 def test_a_run_begins_once_and_alone(other, capsys):
     assert console.run(main, ["--begin", "station", other]) == console.BAD_INPUT

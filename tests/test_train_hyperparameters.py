@@ -13,7 +13,7 @@ from training import CALM, Point, calm_run
 
 from fishmj import mjcf
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError
 from fishmj.control.learned import body_of
 from fishmj.control.policy import Policy
 from fishmj.control.policy_meta import fit
@@ -116,7 +116,8 @@ def test_numbers_of_numpy_are_numbers():
     "line", ["--algo sac --epochs 3", "--algo sac --lambda 0.9", "--algo ppo --tau 0.01", "--algo ppo --utd 2"]
 )
 def test_option_of_another_algorithm_is_refused(line):
-    with pytest.raises(UnknownName, match=f"unknown setting of {line.split()[1]}"):
+    _, algo, option, _ = line.split()
+    with pytest.raises(ConfigError, match=f"{option} is a setting of .*, not of {algo}; leave it out"):
         config_of(asked_for(*line.split()))
 
 
@@ -182,6 +183,9 @@ def test_stated_range_of_the_task_changes_no_draw():
     [
         ("--flow-speeds 0.3,0.1", "flow_speed = (0.3, 0.1); expected a number from 0 to 5, or two bounds of a draw, (low, high)"),
         ("--control-dt 0.15", "control_dt = 0.15 s is not a multiple of bus_dt = 0.02 s; nearest valid control_dt: 0.16 s"),
+        ("--flow-exponent 2 --flow-speeds 0.2", "flow_exponent = 2.0 with flow_speed = 0.2, one speed that is not drawn"),
+        ("--hide target,velocity,yaw_rate,joint,joint_rate", "all groups: the policy would see nothing"),
+        ("--reward wG=0 wD=0 wS=0", "reward weights wG, wD, wS are all 0"),
         ("--episode-seconds 0.1", "seconds = 0.1 s; expected a multiple of the control step of 0.2 s"),
     ],
 )

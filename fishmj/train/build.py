@@ -15,7 +15,7 @@ from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks.reference import COURSES, course_of
 from fishmj.tasks.station_hold import N_START, episode_steps
 from fishmj.train.learner import METRICS, NEEDED, Learner, PolicyLayers
-from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, referred
+from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, hyperparameters, referred
 from fishmj.water.choice import LBM, SELF_MADE, WaterChoice, chosen
 from fishmj.water.flow import BOXES
 
@@ -145,6 +145,12 @@ def config_of(settings: Settings) -> Any:
             raise OwnCodeError(f"algorithm {settings.algo}: {what}")
     else:
         raise UnknownName("algorithm", settings.algo, ALGORITHMS)
+    for name in sorted(settings.algorithm.keys() - {one.name for one in fields(kind)}):
+        if (other := hyperparameters().get(name)) is not None:
+            algos = ", ".join(other.defaults)
+            raise ConfigError(
+                f"{other.option} is a setting of {algos}, not of {settings.algo}; leave it out, or take another --algo"
+            )
     return from_table(f"setting of {settings.algo}", kind, settings.algorithm)
 
 

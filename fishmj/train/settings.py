@@ -162,6 +162,8 @@ def change(settings: Settings, **changes) -> Settings:
         raise UnknownName("algorithm", made.algo, ALGORITHMS)
     for key, weight in made.reward.items():
         checked(f"reward weight {checked_name('reward weight', key, REWARD)}", weight, 0)
+    if all(made.reward.get(key) == 0 for key in REWARD):
+        raise ConfigError(f"reward weights {', '.join(REWARD)} are all 0: there is nothing to learn; leave one of them out")
     if made.steps <= 0 or made.seed < 0:
         raise ConfigError(f"steps = {made.steps} and seed = {made.seed}: steps must be positive, the seed not negative")
     if made.assess_every <= 0 or made.assess_episodes <= 0:

@@ -276,6 +276,8 @@ class TrainingRun:
         """Trains to the end, until `stop_when` holds, or to Ctrl-C; the summary states if Ctrl-C ended it."""
         s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
+        if self.done >= s.steps:
+            console.warn(f"{self.folder} has {self.done:,} control steps of {s.steps:,}: nothing is trained; more with --steps")
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
