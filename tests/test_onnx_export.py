@@ -49,6 +49,12 @@ def test_onnx_graph_keeps_the_window_of_a_policy(activation, memory):
     assert largest_difference(made, evaluated(model)) <= CLOSE
 
 
+@pytest.mark.parametrize(("name", "said"), [("station", "observation (N, 11)"), ("station-family", "window (N, 98) float32")])
+def test_onnx_file_describes_its_inputs(name, said):
+    made = onnx_model(Policy.load(name), "")
+    assert said in made.doc_string and all(one.name in made.doc_string for one in (*made.graph.input, *made.graph.output))
+
+
 def test_onnx_check_sees_a_wrong_weight():
     made = policy("relu", 8)
     model = onnx_model(made, "ab" * 32)

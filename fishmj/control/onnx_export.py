@@ -70,9 +70,20 @@ def onnx_model(policy: Policy, digest: str, name: str = "policy") -> Any:
         add("Slice", ["longer", "slice0", f"slice{width}", "slice1"], "next_window")
     graph = helper.make_graph(nodes, name, inputs, outputs, constants)
     opset = [helper.make_opsetid("", OPSET)]
-    model = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="fishmj")
+    said = {"opset_imports": opset, "ir_version": IR_VERSION, "producer_name": "fishmj", "doc_string": interface(policy)}
+    model = helper.make_model(graph, **said)
     helper.set_model_props(model, {"policy_sha256": digest, "fishmj_policy": json.dumps(policy.meta, sort_keys=True)})
     return model
+
+
+def interface(policy: Policy) -> str:
+    """Inputs and outputs of the graph, for its `doc_string`."""
+    said = f"observation (N, {policy.n_obs}) float32 in SI units, undivided -> action (N, {policy.n_act}) in [-1, 1]."
+    if policy.memory > 1:
+        width = (policy.memory - 1) * (policy.n_act + policy.n_obs)
+        said += f" window (N, {width}) float32 is the last next_window; restart (N, 1) bool is true in an episode's first call,"
+        said += " in which the window does not count."
+    return said
 
 
 def largest_difference(policy: Policy, answer) -> float:
