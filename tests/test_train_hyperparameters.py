@@ -181,7 +181,7 @@ def test_stated_range_of_the_task_changes_no_draw():
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("--flow-speeds 0.3,0.1", "flow_speed = (0.3, 0.1); expected a number from 0 to 5, or two bounds of a draw, (low, high)"),
+        ("--flow-speeds 0.3,0.1", "expected the smaller number first"),
         ("--control-dt 0.15", "control_dt = 0.15 s is not a multiple of bus_dt = 0.02 s; nearest valid control_dt: 0.16 s"),
         ("--flow-exponent 2 --flow-speeds 0.2", "flow_exponent = 2.0 with flow_speed = 0.2, one speed that is not drawn"),
         ("--hide target,velocity,yaw_rate,joint,joint_rate", "all groups: the policy would see nothing"),
@@ -202,8 +202,8 @@ def test_policy_of_another_control_step_is_refused_with_the_remedy():
     policy = policy_of(PolicyLayers(mlp(jax.random.key(0), [11, 8, 3]), "tanh"), settings, {})
     said = fit(policy.meta, body_of(robot_for(preset("quick"))), anyway=False, known={}).refused
     assert said == (
-        "decides every 0.1 s, the robot every 0.2 s: evaluate with --control-dt 0.1, "
-        "or put control_dt = 0.1 into [timing] of the robot's description",
+        "decides every 0.1 s, the robot every 0.2 s: put control_dt = 0.1 into [timing] of its description, FILE.toml, and name "
+        "that (--robot FILE.toml), or evaluate with --control-dt 0.1, apart from policies that decide at other times",
     )
     assert not fit(policy.meta, body_of(robot_for(settings)), anyway=False, known={}).refused
 

@@ -154,7 +154,8 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
         todo = f"evaluate with --command-path {wanted}, or put it into [timing] of the robot's description, or add --anyway"
         refused.append(f"trained on command path {wanted}, the robot's is {path}: {todo}")
     if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
-        todo = f"evaluate with --control-dt {step:g}, or put control_dt = {step:g} into [timing] of the robot's description"
+        todo = f"put control_dt = {step:g} into [timing] of its description, FILE.toml, and name that (--robot FILE.toml)"
+        todo += f", or evaluate with --control-dt {step:g}, apart from policies that decide at other times"
         refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s: {todo}")
     for key, there, here in (("robot", name, robot.name), ("command path", wanted, path)):
         if there not in (None, here):

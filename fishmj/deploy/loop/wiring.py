@@ -143,18 +143,18 @@ def parsed(made: console.Parser, argv: list[str]) -> Any:
         "a camera other than the loopback's, which draws its own marks": (seen, (*tag, *paint)),
     }
     console.refuse_unheeded(made.prog.removeprefix("fishmj "), args, made, needs)
-    if (mine := getattr(args, "flow", None)) is not None and (theirs := _loopback_flow(args.loopback)) is not None:
+    if (mine := getattr(args, "flow", None)) is not None and ours and (theirs := _loopback_flow(args.loopback)) is not None:
         if abs(rect(*mine) - rect(*theirs)) > 1e-6:
-            both = f"--flow {mine[0]:g},{mine[1]:g} beside --loopback '--flow {theirs[0]:g},{theirs[1]:g}'"
-            raise ConfigError(f"{both}: the log would state another stream than the robot swims in; give the same twice")
+            both = f"--flow {mine[0]:g},{mine[1]:g} beside a loopback robot in a stream of {theirs[0]:g},{theirs[1]:g}"
+            raise ConfigError(f"{both}: the log would state another stream than the robot's; give --loopback the same --flow")
     return args
 
 
 def _loopback_flow(words: str | None) -> tuple[float, float] | None:
-    """Stream, m/s and rad, that the options of the loopback robot state; None if they state none or a wrong one."""
+    """Stream, m/s and rad, of the loopback robot: still water unless its options state another; None: they are wrong."""
     stated = re.findall(r"--flow[=\s]+['\"]?([-+.\de]+),([-+.\de]+)", words or "")
     try:
-        return (float(stated[-1][0]), float(stated[-1][1])) if stated else None
+        return (float(stated[-1][0]), float(stated[-1][1])) if stated else None if "--flow" in (words or "") else (0.0, 0.0)
     except ValueError:
         return None
 
