@@ -71,6 +71,15 @@ def test_shipped_policies_answer_the_same_to_1e_6(name, tmp_path):
     assert largest_difference(made, policy, 200, seed=1) <= 1e-6
 
 
+def test_the_decision_of_the_readme_compiles(tmp_path):
+    write_header("station-family", tmp_path / "policy_constants.h")
+    _, readme = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    *made, reset, decide = readme.splitlines()
+    body = "\n".join(['#include "policy_constants.h"', *made, "bool step(void) {", reset, decide, "return finite; }", ""])
+    (tmp_path / "readme.c").write_text(body)
+    compiled(tmp_path / "readme.so", [tmp_path / "readme.c", FIRMWARE / "policy.c"], "-shared", "-fPIC", "-I", str(tmp_path))
+
+
 def test_a_board_without_double_precision_is_off_by_its_rounding(tmp_path):
     write_header("station", tmp_path / "policy_constants.h")
     assert largest_difference(built(tmp_path, "-DFJ_REAL=float"), Policy.load("station"), 400, seed=1) <= 1e-5

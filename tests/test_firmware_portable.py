@@ -114,14 +114,14 @@ def test_a_sketch_in_cpp_can_use_it(tmp_path):
 
 
 def test_the_loop_of_the_readme_compiles(tmp_path):
-    (loop,) = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    loop, _ = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "board.c").write_text(BOARD + loop)
     subprocess.run([COMPILER, *STRICT, "-I", FIRMWARE, "-c", tmp_path / "board.c", "-o", tmp_path / "board.o"], check=True)
 
 
 def run_of_the_readme(folder, datagram: bytes) -> list[tuple[str, bytes]]:
     """What the README's board sends at its first tick, after this datagram: ("u", bytes) by UDP, ("s", bytes) to the servos."""
-    (loop,) = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    loop, _ = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     (folder / "board.c").write_text(BOARD + loop + MAIN)
     board = compiled(folder / "board", [folder / "board.c", *SOURCES])
     done = subprocess.run([board], input=datagram, capture_output=True, check=True, timeout=600)

@@ -160,7 +160,8 @@ def _manifest(folder: Path) -> tuple[Manifest, bool]:
         manifest = Manifest.read(folder)
     except StoreError as error:
         again = "a campaign that was interrupted has none: collect again into the same folder"
-        again = again if folder.is_dir() else "it is a file" if folder.exists() else "there is no such folder"
+        if not folder.is_dir():
+            again = f"{'it is a file' if folder.exists() else 'there is no such folder'}: name another, or collect again"
         raise DatasetError(f"{folder}: no data set: {error}; {again}{left_out(folder)}") from error
     rest = [n for n in manifest.files if n.startswith(SEGMENTS) and not any(fnmatch(n, pattern) for pattern in INSTALLED)]
     whole = not rest or any((folder / name).is_file() for name in rest)
