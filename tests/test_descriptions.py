@@ -20,7 +20,7 @@ from fishmj.base import console
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import DescriptionError
 from fishmj.log.toml import dumps
-from fishmj.mjcf import description_schema, load_robot, reading
+from fishmj.mjcf import description_schema, load_robot
 from fishmj.mjcf.description import RigSpec
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import robot_from_dict
@@ -328,7 +328,7 @@ def test_the_factor_on_the_widths_is_the_geometrys():
 
 
 def test_a_note_reaches_the_user_once(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(reading, "_TOLD", set())
+    monkeypatch.setattr(console, "_WARNED", set())
     path = written(tmp_path, put(("water",), GONE))
     for _ in range(3):
         load_robot(path)

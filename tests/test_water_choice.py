@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fishmj import engines
+from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
@@ -77,7 +78,7 @@ def test_default_water_refuses_another_time_step_and_a_damaged_file(tmp_path, mo
 
 
 def test_stated_coefficients_without_effect_are_told_or_refused(monkeypatch, capsys):
-    monkeypatch.setattr(choice, "_TOLD", set())
+    monkeypatch.setattr(console, "_WARNED", set())
     stated = lambda **values: replace(FISH, water={**FISH.water, **values})
     chosen(stated(residual=0.5)), chosen(load_robot("tendon_fish")), chosen(stated(cf=0.2), "structured")
     assert not capsys.readouterr().err
@@ -103,7 +104,7 @@ def test_a_choice_stays_whatever_is_asked_for_later():
 
 
 def test_the_old_word_goes_on_and_is_said_once(capsys, monkeypatch):
-    monkeypatch.setattr(choice, "_TOLD", set())
+    monkeypatch.setattr(console, "_WARNED", set())
     assert label(in_water(FISH, "surrogate")) == "swift" and label(in_water(FISH, "surrogate")) == "swift"
     assert capsys.readouterr().err.count("'surrogate' is now called 'fitted'") == 1
 
@@ -205,7 +206,6 @@ def test_a_file_has_its_strips_alone_as_a_shipped_name_has(tmp_path):
 
 @pytest.mark.parametrize("water", ["fitted", "surrogate", "swift"])
 def test_gap_find_refuses_it_on_the_command_line(water, tmp_path, capsys):
-    from fishmj.base import console
     from fishmj.gap.commands.find import main
 
     assert console.run(main, [str(tmp_path), "--water", water]) == console.BAD_INPUT

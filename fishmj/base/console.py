@@ -358,6 +358,17 @@ def warn(message: str) -> None:
     terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
 
 
+_WARNED: set[object] = set()
+
+
+def warn_once(message: str, key: object = None) -> None:
+    """Warns once in a process of what `key` stands for; by default of this message."""
+    key = message if key is None else key
+    if key not in _WARNED:
+        _WARNED.add(key)
+        warn(message)
+
+
 def confirmed(question: str) -> bool:
     """Asks a yes-or-no question on the terminal. Returns False without a terminal and for any answer but yes."""
     if not all(bool(getattr(stream, "isatty", lambda: False)()) for stream in (sys.stdin, sys.stderr)):

@@ -15,8 +15,6 @@ from fishmj.base import console
 from fishmj.engines import ticks_per
 from fishmj.mjcf.description import Robot
 
-_TOLD: set[tuple[str, float]] = set()  # robots and control rates of the note on a beat that is too fast
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
@@ -65,13 +63,12 @@ class Cpg:
     def _note_alias(self, beat: float) -> None:
         """Warns once for each robot and control rate that commands show another beat than the wave's."""
         rate = 1 / self.control_dt
-        if (self.name, rate) not in _TOLD:
-            _TOLD.add((self.name, rate))
-            seen = abs(beat - round(beat / rate) * rate)
-            console.warn(
-                f"robot {self.name!r}: a beat of {beat:.3g} Hz on command_path 'hold' becomes one of {seen:.3g} Hz at the joints;"
-                f" expected at most {0.5 * rate:.3g} Hz, half the control rate; take path 'linear' or a slower beat"
-            )
+        seen = abs(beat - round(beat / rate) * rate)
+        console.warn_once(
+            f"robot {self.name!r}: a beat of {beat:.3g} Hz on command_path 'hold' becomes one of {seen:.3g} Hz at the joints;"
+            f" expected at most {0.5 * rate:.3g} Hz, half the control rate; take path 'linear' or a slower beat",
+            ("beat", self.name, rate),
+        )
 
     def _towards(self, now, goal, rate: float):
         """Straight line (B, T) from `now` towards `goal`, as far as `rate` allows in the control step.

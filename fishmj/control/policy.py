@@ -14,7 +14,6 @@ For the shipped files, whose bytes do not change, headers.json beside them has t
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -54,20 +53,14 @@ def is_policy(text: "str | Path") -> bool:
     return str(text).endswith(".safetensors") or str(text) in (*shipped(), *FORMER) or os.path.isdir(text)
 
 
-@cache
-def _renamed(old: str) -> None:
-    """Warns once that a shipped policy has a new name."""
-    console.warn(f"policy {old} is now called {FORMER[old]}; the old name goes with the release after this one")
-
-
 def file_of(source: "str | Path") -> Path:
     """File of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
 
     Raises UnknownName: no such file or name; StoreError: not a plain file, or a folder without a policy.
     """
-    if str(source) in FORMER:
-        _renamed(str(source))
-        source = FORMER[str(source)]
+    if (now := FORMER.get(str(source))) is not None:
+        console.warn_once(f"policy {source} is now called {now}; the old name goes with the release after this one")
+        source = now
     path, named = Path(source), FOLDER / f"{source}.safetensors"
     if os.path.isdir(source) and path.suffix != ".safetensors" and str(source) not in shipped():
         inside = [path / name for name in OF_A_RUN if (path / name).is_file()]

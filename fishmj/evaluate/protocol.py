@@ -22,12 +22,14 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked, shown_value
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold as task
+from fishmj.tasks.episode import LARGEST
 from fishmj.tasks.reference import COURSES, EpisodeStart
 from fishmj.water import flow as background
 from fishmj.water.flow import Current, Flow
 
 HEADINGS = ("upstream", "uniform")
-LIMITS = {"duration": (1, 600), "intensity": (0, 1), "randomisation": (0, 1), "noise": (0, 100), "direction": ()}  # of `Trials`
+LIMITS: dict[str, tuple] = {"duration": (1, 600), "direction": ()}  # of `Trials`
+LIMITS |= {key: (0, LARGEST[key]) for key in ("intensity", "randomisation", "noise")}
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
 HOLD, EIGHT, ANGLE = TASKS = ("station_hold", "figure_eight", "angle_of_attack")
 

@@ -108,16 +108,13 @@ def checked(robot: Robot) -> Robot:
 
 
 _SOUND = "_sound"  # attribute of a robot that passed; `dataclasses.replace` leaves it behind
-_TOLD: set[tuple[str, str]] = set()  # robot, note without where it was read: a copy of a robot has the same to say
 
 
 def _sound(robot: Robot) -> Robot:
     object.__setattr__(robot, _SOUND, True)
     for note in robot.notes:
-        said = (robot.name, note.partition(" [")[2])
-        if said not in _TOLD:
-            _TOLD.add(said)
-            console.warn(note)
+        # without where it was read: a copy of a robot has the same to say
+        console.warn_once(note, (robot.name, note.partition(" [")[2]))
     return robot
 
 

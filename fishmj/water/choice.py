@@ -81,9 +81,8 @@ class WaterChoice(NamedTuple):
 
     def announced(self) -> "WaterChoice":
         """Returns this choice; warns once for each body that has no fitted water and whose user chose none."""
-        if NOT_FITTED in self.said and (about := f"robot {self.robot.name!r}, water: {self.said}") not in _TOLD:
-            _TOLD.add(about)
-            console.warn(about)
+        if NOT_FITTED in self.said:
+            console.warn_once(f"robot {self.robot.name!r}, water: {self.said}")
         return self
 
 
@@ -145,18 +144,13 @@ def canonical(water: "str | Path | None") -> str | None:
     name, member = split_member(str(water))
     if name not in RENAMED:
         return str(water)
-    if name not in _TOLD:
-        _TOLD.add(name)
-        console.warn(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
+    console.warn_once(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
     return _joined(RENAMED[name], member)
 
 
 def _joined(name: str, member: str | None) -> str:
     """The inverse of `split_member`."""
     return name if member is None else f"{name}#{member}"
-
-
-_TOLD: set[str] = set()
 
 
 def model_of(robot: Robot) -> "HydroModel | None":
@@ -219,9 +213,9 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
     made, prior = _with(robot, coefficients, name), water_prior(robot.links)
     guessed = {key: (value, KE if key == "ke" else value) for key, value in prior.items()}
     own = [key for key, value in described.items() if key not in NO_FORCE and value not in guessed.get(key, ())]
-    if own and (about := f"robot {robot.name!r}: [water] {', '.join(own)}") not in _TOLD:
-        _TOLD.add(about)
-        console.warn(f"{about}: not used in the fitted water {name!r}; --water structured uses them")
+    if own:
+        about = f"robot {robot.name!r}: [water] {', '.join(own)}"
+        console.warn_once(f"{about}: not used in the fitted water {name!r}; --water structured uses them", about)
     if family is not None:
         fits = ", ".join(dict.fromkeys(f"{one.name} (slip {one.slip:g})" for one in family.members))
         return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between the fits {fits}")

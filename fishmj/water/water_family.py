@@ -19,7 +19,6 @@ first is the water of a fish that is not randomised.
 """
 
 import hashlib
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -164,7 +163,7 @@ class WaterFamily:
         """Warns once if in streams of `slowest` m/s and more every draw is the fastest member."""
         if len(self.fastest) and RESERVE * slowest > (top := self.fastest.max()):
             member = self.members[int(np.argmax(self.fastest))].name
-            _warn(
+            console.warn_once(
                 f"water {self.name!r}: in streams from {slowest:g} m/s every fish swims in the fastest member, {member!r}, which"
                 f" reaches {top:g} m/s, less than {RESERVE:g} times that; check fastest, or take slower streams"
             )
@@ -248,12 +247,6 @@ def _member(path: Path, where: str, name: str) -> HydroModel:
     raise StoreError(
         f"{where} members: {name!r}: no such water beside the file; {holds}; fishmj comes with {', '.join(shipped())}"
     )
-
-
-@cache
-def _warn(message: str) -> None:
-    """Warns once."""
-    console.warn(message)
 
 
 def _shapes(model: HydroModel):

@@ -15,7 +15,7 @@ from cmath import rect
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from math import degrees, radians
 from pathlib import Path
 from typing import Any
@@ -152,10 +152,12 @@ def parsed(made: console.Parser, argv: list[str]) -> Any:
 
 def _loopback_flow(words: str | None) -> tuple[float, float] | None:
     """Stream, m/s and rad, of the loopback robot: still water unless its options state another; None: they are wrong."""
-    stated = re.findall(r"--flow[=\s]+['\"]?([-+.\de]+),([-+.\de]+)", words or "")
+    if not words or "--flow" not in words:
+        return 0.0, 0.0
+    stated = re.findall(r"--flow[=\s]+['\"]?([-+.\de]+),([-+.\de]+)", words)
     try:
-        return (float(stated[-1][0]), float(stated[-1][1])) if stated else None if "--flow" in (words or "") else (0.0, 0.0)
-    except ValueError:
+        return float(stated[-1][0]), float(stated[-1][1])
+    except (IndexError, ValueError):
         return None
 
 
@@ -328,7 +330,7 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         words += shlex.split(args.loopback or "")
     except ValueError as error:
         raise ConfigError(f"--loopback {str(args.loopback)[:80]!r}: {error}") from error
-    tell_start()
+    console.warn_once("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
     told = stack.enter_context(open(errors, "w", encoding="utf-8"))
     process = start_command(words, stderr=told, text=True)
     stack.callback(end_command, process, ENDS)
@@ -341,12 +343,6 @@ def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:
         process.wait(STARTS)
         why = last_words(errors.read_text(encoding="utf-8")) or "it ended without a word"
         raise ConfigError(f"loopback robot: does not start: {why}") from None
-
-
-@cache
-def tell_start() -> None:
-    """Warns once that the loopback robot starts, and how long that may take."""
-    console.warn("starting the loopback robot; the first start on a machine compiles its water for up to a minute")
 
 
 def link_text(text: str) -> str:
