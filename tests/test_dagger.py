@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError
+from fishmj.base.store import plain, read_json, same_as_begun
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
@@ -80,11 +81,13 @@ def test_rounds_that_never_agree_say_so(tmp_path):
 
 
 def test_a_folder_goes_on_with_the_options_of_before_only(tmp_path):
-    begun = {"policy": "pd", "domain": "laptop", "speeds": None}
+    begun = {"policy": "pd", "domain": "laptop", "speeds": None, "task": {"memory": 1, "hide": ()}}
     for _ in range(2):
-        dagger.same_as_begun(tmp_path / dagger.BEGUN, begun)
-    with pytest.raises(ConfigError, match="was begun with domain laptop, got window; repeat the options"):
-        dagger.same_as_begun(tmp_path / dagger.BEGUN, begun | {"domain": "window"})
+        same_as_begun(tmp_path / dagger.BEGUN, begun)
+    other = {"domain": "window", "task": {"memory": 8, "hide": []}}
+    with pytest.raises(ConfigError, match=r"was begun with domain laptop, got window; task\.memory 1, got 8; repeat the options"):
+        same_as_begun(tmp_path / dagger.BEGUN, begun | other)
+    assert read_json(tmp_path / dagger.BEGUN) == plain(begun), "a refused command leaves what is there"
 
 
 def test_every_sixth_episode_of_a_round_validates_and_of_fewer_the_last():

@@ -247,8 +247,8 @@ def test_trainings_and_fits_take_turns_until_the_returns_agree(rounds, tmp_path)
     assert "+0.210 (+0.000 +0.100)" in correct_water.table(found["rounds"])
     again = correct_water.train_and_correct(settings, tmp_path, **given)
     assert again["rounds"] == found["rounds"] and len(Training.calls) == len(rounds) == 2, "what is there is not done again"
-    with pytest.raises(ConfigError, match="other options"):
-        correct_water.train_and_correct(settings, tmp_path, **given | {"slip": 0.95})
+    with pytest.raises(ConfigError, match=r"begun with settings\.seed 0, got 1; slip 0\.98, got 0\.95; repeat the options"):
+        correct_water.train_and_correct(change(settings, seed=1), tmp_path, **given | {"slip": 0.95})
 
 
 def test_a_training_that_was_stopped_ends_the_rounds_and_goes_on(rounds, tmp_path):

@@ -20,7 +20,7 @@ from typing import Any
 from fishmj.base import console, interrupt
 from fishmj.base.calib import OWN
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import read_json, write_json
+from fishmj.base.store import read_json, same_as_begun, write_json
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data.collect import Local, Pool, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
@@ -39,7 +39,6 @@ from fishmj.water.hydro_model import HydroModel
 
 EPISODES, SECONDS = 12, 20.0  # of a round's comparison; each also gives a short segment from the surrogate's state half-way
 AGAIN = 2_000_000  # control steps of a round that begins with a policy
-FILE = "correct.json"
 
 
 def first_water(settings: Settings, slip: float | None) -> HydroModel:
@@ -69,9 +68,7 @@ def train_and_correct(
     model = first_water(settings, slip)
     tank = water_of_fit(model.dataset, model.slip, domain)
     about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": tank.box.name, "steps": steps}
-    if (folder / FILE).is_file() and read_json(folder / FILE) != about:
-        raise ConfigError(f"{folder} holds a run with other options; repeat its command to go on, or choose another --out")
-    write_json(folder / FILE, about)
+    same_as_begun(folder / dagger.BEGUN, about)
     data = open_dataset(OWN / "hydro" / robot.name)
     dagger.warn_of_two_waters([data], tank)
     devices = devices_of(device)

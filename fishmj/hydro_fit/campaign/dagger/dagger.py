@@ -32,7 +32,7 @@ from fishmj.base import console, interrupt
 from fishmj.base.calib import OWN, constant
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, DatasetError
-from fishmj.base.store import plain, read_json, write_json
+from fishmj.base.store import read_json, same_as_begun, write_json
 from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
@@ -314,7 +314,7 @@ def main(argv: list[str]) -> int:
     speeds = args.flow_speeds and (args.flow_speeds[0], args.flow_speeds[-1])
     sized = {"episodes": args.episodes, "seconds": args.seconds, "speeds": speeds}
     begun = {"policy": getattr(helm, "sha256", args.policy), "model": sha256_of(began), "domain": tank.box.name}
-    same_as_begun(out / BEGUN, plain(begun | {"data": [data.sha256 for data in first]} | sized))
+    same_as_begun(out / BEGUN, begun | {"data": [data.sha256 for data in first]} | sized)
     pool = Local(tanks_on(devices[0], args.tanks), devices)
     refit = lambda model, solver: refitted(robot, model, first, solver, out)
     with interrupt.keeping(lambda: kept_words(out)):
@@ -330,15 +330,6 @@ def main(argv: list[str]) -> int:
     if args.json:
         console.emit_json({"rounds": found["rounds"], "agreed": found["agreed"], "model": str(path)})
     return console.OK if found["agreed"] else console.FAILED_CHECK
-
-
-def same_as_begun(path: Path, options: dict) -> None:
-    """Keeps the options of a correction. Raises ConfigError: its folder was begun with others, whose rounds would be mixed."""
-    there = read_json(path) if path.is_file() else options
-    if other := [key for key in options if there.get(key) != options[key]]:
-        told = "; ".join(f"{key} {there.get(key)!s:.40}, got {options[key]!s:.40}" for key in other)
-        raise ConfigError(f"{path.parent} was begun with {told}; repeat the options to go on, or take another --out")
-    write_json(path, options)
 
 
 def warn_of_two_waters(first: Sequence[SegmentDataset], tank: SolverWater) -> None:
