@@ -18,6 +18,7 @@ from fishmj.base.errors import ConfigError, DatasetError, UsageError
 from fishmj.engines.hybrid import online_correction
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit import free_swims
+from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.fit import (
     force_training,
     gauss_newton,
@@ -33,6 +34,7 @@ from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.fit.rollout import recorded
 from fishmj.hydro_fit.fit.training_loop import Loop
 from fishmj.hydro_fit.segment_dataset import open_dataset, open_each
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain
@@ -223,13 +225,18 @@ def test_training_records_validate_where_no_others_do(records, tmp_path):
         verb.fitted_parts(data, replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)), 1.0)
 
 
-def test_further_data_of_the_same_water_are_fitted_beside_the_first(records, tmp_path):
+def test_further_data_of_the_same_water_are_fitted_beside_the_first(records, tmp_path, capsys):
     folder = hidden.write_dataset(tmp_path / "rounds", records["train"][:4])
     grid = open_dataset(folder)[records["train"][0].id].meta["grid"]
     train, val = verb.further_parts(open_dataset(folder), ROBOT, 1.0, grid)
     assert [r.id for r in train] == sorted(r.id for r in records["train"][:4]) and not val
-    with pytest.raises(ConfigError, match="expected the same water"):
+    with pytest.raises(ConfigError, match="--also: .*, the rest in synthetic with boundary rims: two waters in one fit; name"):
         verb.further_parts(open_dataset(folder), ROBOT, 1.0, grid | {"boundary": "rims"})
+    box = lambda domain: SimpleNamespace(domain=domain, sharpness=BOUNDARIES["plain"])
+    dagger.warn_of_two_waters([open_dataset(folder)], box(grid["domain"]))
+    assert capsys.readouterr().err == ""
+    dagger.warn_of_two_waters([open_dataset(folder)], box("window"))
+    assert f"was solved in {grid['domain']}, the rest in window: two waters in one fit" in capsys.readouterr().err
     (tmp_path / "link").symlink_to(folder)
     with pytest.raises(DatasetError, match="its swims would count twice"):
         open_each([folder, tmp_path / "link"])

@@ -197,9 +197,8 @@ def further_parts(data: SegmentDataset, robot: Robot, slip: float, grid: dict) -
     Raises ConfigError: as `records_of`, or solved in another box or boundary, which would be two waters in one fit.
     """
     train = records_of(data, robot, "train", slip)
-    mine, first = ({key: one.get(key, "") for key in ("domain", "boundary")} for one in (train[0].meta["grid"], grid))
-    if mine != first:
-        raise ConfigError(f"--also {data.folder}: solved in {mine}, the first data set in {first}; expected the same water")
+    if told := data.other_water(grid):
+        raise ConfigError(f"fit --also: {told}; name data sets of the same water")
     return train, records_of(data, robot, "val", slip) if data.names("val", slip=slip) else []
 
 
@@ -287,10 +286,7 @@ def fit(robot: Robot, folder: Path, args) -> dict:
         done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told, given=given)
         with interrupt.keeping(done.kept_so_far):
             model = replace(done.run(), name=args.name or robot.name, preview=data.preview)
-    doubtful = [row for stage in model.found.values() for row in stage["parameters"].values() if row["status"] != "identified"]
-    for row in doubtful:
-        trade = f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
-        console.say(f"{row['name']} = {row['value']:.3g} is {row['status']}{trade}: not quoted as calibrated")
+    console.say(*(f"stage {name}: {words}" for name, stage in model.found.items() for words in doubtful(stage)))
     standing = standing_model(out, model.name, robot_hash(robot))
     if model.preview and standing is not None and not standing[0].preview:
         model = replace(model, name=f"{model.name}{PREVIEW}")
@@ -306,6 +302,13 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     place = path if standing is None or taken else standing[1]
     row = {"model": str(path), "taken": taken, "place": str(place), "preview": model.preview, "validation": new, "standing": old}
     return row | {"seconds": done.seconds, "notes": done.notes}
+
+
+def doubtful(stage: dict) -> list[str]:
+    """Line on each parameter that a stage of the fit has not identified."""
+    trade = lambda row: f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
+    rows = (row for row in stage["parameters"].values() if row["status"] != "identified")
+    return [f"{row['name']} = {row['value']:.3g} is {row['status']}{trade(row)}: not quoted as calibrated" for row in rows]
 
 
 def chosen(robot: Robot, args) -> HydroModel:

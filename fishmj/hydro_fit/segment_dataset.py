@@ -93,6 +93,14 @@ class SegmentDataset:
             raise DatasetError(f"{self.folder}: no segment {name!r} with arrays")
         return read_record(self.folder / SEGMENTS, name).steadied
 
+    def other_water(self, grid: Mapping[str, Any]) -> str:
+        """Text about box and boundary of the segments where they are not those of `grid`, of the rest of a fit; else ""."""
+        edge = lambda grid: grid.get("boundary", "plain")
+        words = lambda grid: str(grid.get("domain")) + (f" with boundary {edge(grid)}" if edge(grid) != "plain" else "")
+        mine = {words(meta["grid"]) for meta in self.about.values()} - {words(grid)}
+        where = f"{self.folder} was solved in {', '.join(sorted(mine))}, the rest in {words(grid)}"
+        return f"{where}: two waters in one fit" if mine else ""
+
     def lost(self) -> dict[str, str]:
         """Reasons of segments that stopped early or hold nothing, by id."""
         return {name: meta["stopped"] for name, meta in self.about.items() if meta.get("stopped")}

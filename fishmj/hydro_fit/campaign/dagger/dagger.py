@@ -334,11 +334,9 @@ def main(argv: list[str]) -> int:
 
 def warn_of_two_waters(first: Sequence[SegmentDataset], tank: SolverWater) -> None:
     """Warns of each data set that was solved in another box or boundary than the rounds' tank."""
-    words = lambda domain, boundary: domain if boundary == "plain" else f"{domain} with boundary {boundary}"
-    here = words(tank.domain, boundary_name(tank.sharpness))
     for data in first:
-        if (grid := {words(m["grid"]["domain"], m["grid"].get("boundary", "plain")) for m in data.about.values()}) != {here}:
-            console.warn(f"{data.folder} was solved in {', '.join(sorted(grid))}, the rounds in {here}: two waters in one fit")
+        if told := data.other_water({"domain": tank.domain, "boundary": boundary_name(tank.sharpness)}):
+            console.warn(told)
 
 
 def kept_words(out: Path) -> str:
