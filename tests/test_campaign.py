@@ -1,6 +1,7 @@
 """The campaign: what it plans, what a segment of the flow solver holds, and that collecting goes on where it was stopped."""
 
 import json
+import re
 from argparse import ArgumentTypeError, Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from ray_toys import toy
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, DatasetError
+from fishmj.base.errors import ConfigError, DatasetError, OracleUnstable
 from fishmj.hydro_fit import segment_dataset
 from fishmj.hydro_fit.campaign.data import plan, run_segments, solver_hash
 from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, main
@@ -227,6 +228,19 @@ def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
     )
     assert console.run(main, ["--preview", "--fresh-test", "2"]) == console.BAD_INPUT
     assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
+
+
+@pytest.mark.parametrize(
+    ("dt", "why"),
+    [("0.003", "no multiple of dt = 0.003 s of laptop; take --dt 0.00285714286"), ("0.02", "laptop: Mach 0.53 at 0.3041")],
+)
+def test_a_time_step_that_no_run_takes_is_refused_before_anything_is_written(dt, why, capsys, tmp_path):
+    asked = ["--preview", "--out", str(tmp_path / "no"), "--dt", dt, "--device", "cpu"]
+    for more in (["--dry-run"], []):
+        assert console.run(main, asked + more) != console.OK and why in capsys.readouterr().err
+    with pytest.raises((ConfigError, OracleUnstable), match=re.escape(why)):
+        collect(plan.preview(FISH), tmp_path / "no", replace(SETUP, domain=SETUP.domain.changed(dt=float(dt))), pool=Toys())
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_data_set_is_continued_in_its_own_box(tmp_path):

@@ -30,10 +30,12 @@ from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import files, write_record
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
 from fishmj.lbm_oracle.fluid.device import devices_of
+from fishmj.lbm_oracle.fluid.guard import check_speed
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_name, boundary_option
 from fishmj.lbm_oracle.run.spread import ray_device, spread
+from fishmj.lbm_oracle.run.stability import SLOW
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 
@@ -103,12 +105,14 @@ def collect(
         budget: seconds of wall time after which it stops with the finished segments. retry: run stopped segments again.
 
     Raises:
-        ConfigError: `out` holds segments of another fish, grid or solver. DatasetError: an episode would change its split.
-        OracleUnstable: a segment could not be set up. StoreError: the disk refuses.
+        ConfigError: `out` holds segments of another fish, grid or solver, or a bus tick is no multiple of the time step.
+        DatasetError: an episode would change its split. OracleUnstable: a segment could not be set up. StoreError: the disk
+            refuses.
     """
     folder, began = Path(out), time.perf_counter()
     if budget is not None and not budget > 0:
         raise ConfigError(f"collect: budget = {budget} s; expected a positive time, or none")
+    check_step(plan, setup.domain)
     left = missing(plan, folder, retry)
     about = _state_split(folder, plan, setup, adding=bool(left))
     if budget is not None:  # whatever it is cut down to spans the states
@@ -129,6 +133,16 @@ def collect(
             before, done = before + finished.segment.water, done + 1
             bar.update(before, segments=there + done, of=len(plan.segments))
     return _closed(folder, plan, about, there, done, before, time.perf_counter() - began)
+
+
+def check_step(plan: CampaignPlan, domain: Domain) -> None:
+    """Raises ConfigError or OracleUnstable for a time step with which a segment of the plan could not be set up."""
+    tick = plan.robot.timing.bus_dt
+    steps = max(1, round(tick / domain.dt))
+    if abs(steps * domain.dt - tick) > 1e-9:
+        what = f"the bus tick of {tick:g} s of {plan.robot.name} is no multiple of dt = {domain.dt:g} s of {domain.name}"
+        raise ConfigError(f"collect: {what}; take --dt {tick / steps:.9g}")
+    check_speed(domain.lattice, max([SLOW, *(segment.flow.speed for segment in plan.segments)]), f"collect: {domain.name}")
 
 
 def missing(plan: CampaignPlan, folder: Path, retry: bool = False) -> deque[Segment]:
@@ -270,6 +284,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"collect: slip ratios beside --boundary {args.boundary}, which sets them; take --all-at-slip 1")
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
+    check_step(plan, domain)
     if args.dry_run:  # here, for whatever machine
         say_plan(plan, robot, domain)
         say_cost(plan, out, domain, boundary_name(edge), args)
