@@ -39,7 +39,7 @@ class Still:
         ({"progress": None}, "progress = None; expected a function"),
         ({"shift": (100, 0)}, "shift = 100.0; expected a number from -2 to 2"),
         ({"shift": 3}, "shift = 3; expected"),
-        ({"shift": (float("nan"), 0)}, "shift = .nan"),
+        ({"shift": (float("nan"), 0)}, r"shift\[0\] = nan; expected finite numbers of shape"),
     ],
 )
 def test_run_refuses_a_wrong_argument(wrong, words):

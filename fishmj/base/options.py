@@ -91,16 +91,25 @@ def checked_bounds(where: str, value: Any, low: float, high: float) -> tuple[flo
 
 
 def checked_array(where: str, value: Any, shape: tuple[int, ...]) -> Any:
-    """Returns an argument of a Python call as a float64 NumPy array. Raises ConfigError: another shape, or not all finite."""
+    """Returns an argument of a Python call as a float64 NumPy array.
+
+    Raises ConfigError: another shape, or not all finite; tells the shape, or the place of the first such number.
+    """
     import numpy as np
 
     try:
-        given = np.full((), math.nan) if np.iscomplexobj(value) else np.asarray(value, float)
+        given = None if np.iscomplexobj(value) else np.asarray(value, float)
     except (TypeError, ValueError):
-        given = np.full((), math.nan)
-    if given.shape != shape or not np.isfinite(given).all():
-        raise ConfigError(f"{where} = {shown_value(value)}; expected finite numbers of shape {shape}")
-    return given
+        given = None
+    if given is not None and given.shape == shape and np.isfinite(given).all():
+        return given
+    told = shown_value(value)
+    if given is not None and given.shape != shape:
+        told += f" of shape {given.shape}" if given.shape else ""
+    elif given is not None and shape:
+        place = np.argwhere(~np.isfinite(given))[0].tolist()
+        where, told = f"{where}{place}", str(given[tuple(place)])
+    raise ConfigError(f"{where} = {told}; expected finite numbers of shape {shape}")
 
 
 def checked_kind(where: str, value: Any, kind: type, *, needed: bool = False) -> Any:

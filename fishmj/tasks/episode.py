@@ -24,7 +24,7 @@ import numpy as np
 
 from fishmj import engines
 from fishmj.base.errors import ConfigError, SimDiverged
-from fishmj.base.options import checked, checked_bounds, checked_name, checked_names, shown_value
+from fishmj.base.options import checked, checked_array, checked_bounds, checked_name, checked_names, shown_value
 from fishmj.engines import FishParams, FishState, Steps, Trace
 from fishmj.mjcf.description import COMMAND_PATHS, Robot
 from fishmj.mjcf.reading import load_robot, with_timing
@@ -360,13 +360,14 @@ class Episodes(ControlLoop):
             merged = _merged(before, self._running(), np.asarray(rows))
             self.scenario, self.fish, self.window, self.command, self.count = merged
 
-    def step(self, action) -> StepResult:
-        """Does one control step with action (n, J), clipped to [-1, 1].
+    def step(self, action, alone: bool = False) -> StepResult:
+        """Does one control step with action (n, J), clipped to [-1, 1]; alone: (J,), of one fish.
 
         Raises ConfigError for another shape, or if not finite.
         """
         rules = self.rules
-        action = task.acting(action, (self.n, rules.n_act), rules.name)
+        shape = (rules.n_act,) if alone else (self.n, rules.n_act)
+        action = np.clip(checked_array(f"{rules.name}: action", action, shape), -1.0, 1.0).reshape(self.n, -1)
         commands = task.chunk(np, rules.robot, self.command, action)
         trace = self.act(commands)
         self.command = commands[:, -1]

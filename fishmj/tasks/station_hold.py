@@ -14,7 +14,6 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.options import checked_array
 from fishmj.effects import randomise
 from fishmj.engines import Extensions, FishParams, nominal_params, ticks_per
 from fishmj.mjcf.description import Robot, Timing
@@ -228,28 +227,6 @@ def outside(xp, pose):
     """True if the reference point has left |x|, |y| <= bound."""
     bound = constant("task", "bound")
     return (xp.abs(pose[..., 0]) > bound) | (xp.abs(pose[..., 1]) > bound)
-
-
-def acting(action, shape: tuple, who: str) -> np.ndarray:
-    """Returns the action for the bus and the reward: float64, clipped to [-1, 1].
-
-    Raises ConfigError: another shape, not numbers, or not finite, with the place of the first such number.
-    """
-    try:
-        return np.clip(checked_array(f"{who}: action", action, shape), -1.0, 1.0)
-    except ConfigError as error:
-        try:
-            given = np.full(shape, 0.0) if np.iscomplexobj(action) else np.asarray(action, float)
-        except (TypeError, ValueError):
-            raise error from None
-        if given.shape != shape:
-            raise ConfigError(f"{who}: action of shape {given.shape}; expected finite numbers of shape {shape}") from None
-        for place in np.argwhere(~np.isfinite(given))[:1].tolist():
-            named = ", ".join(f"{what} {i}" for what, i in zip(("fish", "joint")[-len(place) :], place, strict=True))
-            raise ConfigError(
-                f"{who}: action of {named}: {given[tuple(place)]}; expected finite numbers of shape {shape}"
-            ) from None
-        raise
 
 
 def chunk(xp, robot: Robot, previous, action):

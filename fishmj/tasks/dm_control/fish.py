@@ -21,7 +21,7 @@ from dm_control.utils import containers
 from dm_env import specs
 
 from fishmj.base.errors import ConfigError
-from fishmj.base.options import checked_name, shown_value
+from fishmj.base.options import checked_array, checked_name, shown_value
 from fishmj.engines import Trace
 from fishmj.mjcf.model import ROOTS
 from fishmj.mjcf.reading import load_robot
@@ -141,7 +141,7 @@ class FishTask(base.Task):
 
     def before_step(self, action, physics: Physics) -> None:
         """Turns the action into the bus commands of one control step."""
-        self.action = task.acting(action, (self.rules.n_act,), "suite")[None]
+        self.action = np.clip(checked_array("suite: action", action, (self.rules.n_act,)), -1.0, 1.0)[None]
         commands = task.chunk(np, self.rules.robot, self.command, self.action)
         self.command = commands[:, -1]
         physics.send(commands[0])

@@ -27,7 +27,7 @@ from fishmj.mjcf.from_above import FromAbove, coarse_skin
 from fishmj.tasks.episode import LARGEST as LARGEST_OPTIONS
 from fishmj.tasks.episode import Draws, EpisodeDraw, Episodes, StepResult, TaskSpec, options_for
 from fishmj.tasks.reference import named
-from fishmj.tasks.station_hold import acting, input_scale, spans
+from fishmj.tasks.station_hold import input_scale, spans
 
 SIDE = 480  # pixels
 # Bounds of the observations, which Gymnasium requires to be finite: several times the values inside the domain, so that clipping
@@ -208,7 +208,7 @@ class FishEnv(_Fish, gymnasium.Env):
     def step(self, action):
         """Does one control step."""
         self._need_reset()
-        out = self.episodes.step([acting(action, (self.rules.n_act,), self.rules.name)])
+        out = self.episodes.step(action, alone=True)
         info = {"distance": float(out.distance[0]), "power": float(out.power[0]), "diverged": bool(out.diverged[0])}
         return self._observe(), float(out.reward[0]), bool(out.terminated[0]), bool(out.truncated[0]), info
 
