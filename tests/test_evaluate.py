@@ -96,7 +96,9 @@ def test_training_flows_are_never_judged_on():
         evaluate.trials(box="train")
 
 
-@pytest.mark.parametrize("wrong", [{"speeds": []}, {"speeds": [3.0]}, {"repeats": 0}, {"duration": 0.1}, {"seed": -1}])
+@pytest.mark.parametrize(
+    "wrong", [{"speeds": []}, {"speeds": [3.0]}, {"repeats": 0}, {"repeats": 10**7}, {"duration": 0.1}, {"seed": -1}]
+)
 def test_impossible_trials_are_refused(wrong):
     with pytest.raises(ConfigError, match="trials:"):
         evaluate.trials(**wrong)

@@ -2,9 +2,11 @@
 
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ from fishmj.tasks.env import Options, StationHold
 from fishmj.train import multi_seed
 from fishmj.train.__main__ import main
 from fishmj.train.build import pick_engine, policy_of, settled
-from fishmj.train.learner import PolicyLayers
+from fishmj.train.learner import PolicyLayers, warn_of_rounding
 from fishmj.train.networks import mlp
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, of_run, preset
 from fishmj.train.training_run import TrainingRun, go_on, is_better, learner_of
@@ -45,6 +47,14 @@ def same(a: Policy, b: Policy) -> bool:
 def act_afresh(policy: Policy, obs) -> np.ndarray:
     policy.reset()
     return np.stack([policy(obs), policy(obs)])
+
+
+def test_steps_that_whole_iterations_exceed_by_far_are_told(capsys):
+    for steps, said in ((10, True), (16_384, False), (16_385, True), (163_841, False), (2_000_000, False)):
+        warn_of_rounding(SimpleNamespace(steps_per_iteration=16_384), steps)
+        assert ("an iteration takes 16,384" in capsys.readouterr().err) == said, steps
+    learner_of(calm_run(steps=10))
+    assert re.search(r"train: ([0-9,]+) control steps in place of 10: an iteration takes \1;", capsys.readouterr().err)
 
 
 # ---- learning ----

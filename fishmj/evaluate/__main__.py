@@ -97,7 +97,7 @@ def options() -> console.Parser:
     angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315; of"
     angle += " angle_of_attack the start's heading from upstream, default -180,-90,0,90"
     add("--los", type=los, metavar="DEG,..", help=angle)
-    add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
+    add("--repeats", type=console.whole(1, protocol.MOST), metavar="N", help="trials of every speed and direction; default 3")
     add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start; uniform: drawn")
     add("--engine", choices=engines.NAMES, default="batch", help="what moves the fish; batch (MuJoCo in C) judges")
     add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60, of the other tasks 61 and 30")

@@ -30,6 +30,7 @@ from fishmj.water.flow import Current, Flow
 HEADINGS = ("upstream", "uniform")
 LIMITS: dict[str, tuple] = {"duration": (1, 600), "direction": ()}  # of `Trials`
 LIMITS |= {key: (0, LARGEST[key]) for key in ("intensity", "randomisation", "noise")}
+MOST = 1000  # repeats of a condition
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
 HOLD, EIGHT, ANGLE = TASKS = ("station_hold", "figure_eight", "angle_of_attack")
 
@@ -256,7 +257,7 @@ def trials(
         kinds = [value % 360 for value in values] if name == "los_deg" else list(values)
         if twice := [value for value, kind in zip(values, kinds, strict=True) if kinds.count(kind) > 1]:
             raise ConfigError(f"trials: {name} = {shown_value(list(values))}: {twice[-1]:g} stands there twice; name each once")
-    repeats, seed = checked("trials: repeats", repeats, 1, whole=True), checked("trials: seed", seed, 0, whole=True)
+    repeats, seed = checked("trials: repeats", repeats, 1, MOST, whole=True), checked("trials: seed", seed, 0, whole=True)
     key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))
     items = tuple(
         TrialSpec(float(u), float(np.radians(b)), r, (*key(u, b), r)) for u, b, r in product(speeds, los_deg, range(repeats))

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
+from fishmj.base import console
 from fishmj.base.calib import constant
 
 METRICS = ("reward", "late_distance", "late_arrived", "left_tank", "episodes", "diverged")  # of `metrics_of`; more may follow
@@ -51,6 +52,13 @@ class Learner(Protocol):
 
     def policy_layers(self, actor) -> PolicyLayers:
         """Actor in the form of a policy file; it gives the actions of `act`."""
+
+
+def warn_of_rounding(learner: Learner, steps: int) -> None:
+    """Warns where whole iterations make more than a tenth more of the control steps that were asked."""
+    each = learner.steps_per_iteration
+    if (whole := each * -(-steps // each)) > 1.1 * steps:
+        console.warn(f"train: {whole:,} control steps in place of {steps:,}: an iteration takes {each:,}; fewer --envs take less")
 
 
 class StepRecord(NamedTuple):

@@ -25,7 +25,7 @@ from fishmj.tasks.gym.fish_env import FishVectorEnv, observation_space
 from fishmj.tasks.station_hold import input_scale, visible
 from fishmj.train.build import config_of, environment, robot_for
 from fishmj.train.hyperparameters import PlainPPOConfig, SACConfig
-from fishmj.train.learner import PolicyLayers, StepRecord, metrics_of
+from fishmj.train.learner import PolicyLayers, StepRecord, metrics_of, warn_of_rounding
 from fishmj.train.networks import forward
 from fishmj.train.settings import ALGORITHMS, Settings, change, referred
 from fishmj.train.training_run import Assessment, TrainingRun
@@ -177,6 +177,7 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
     config = config_of(settings)
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = referred(ALGORITHMS[settings.algo].learner)(shoal, config, settings.steps)
+    warn_of_rounding(learner, settings.steps)
     judge = change(settings, engine="planar" if settings.engine == "batch" else settings.engine)  # assessments run inside JAX
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
     run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess), command=command)

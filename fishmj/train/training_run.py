@@ -31,7 +31,7 @@ from fishmj.tasks.station_hold import control_steps
 from fishmj.train import training_cost
 from fishmj.train.begin import begun
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
-from fishmj.train.learner import PolicyLayers, reported
+from fishmj.train.learner import PolicyLayers, reported, warn_of_rounding
 from fishmj.train.settings import ALGORITHMS, FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
 from fishmj.water.choice import LBM
 
@@ -494,4 +494,5 @@ def learner_of(settings: Settings, devices: int = 1):
     """Environment, algorithm (on so many devices) and assessment, to be shared by runs that differ in their seed only."""
     env = environment(settings)
     learner = algorithm(settings, env, devices)
+    warn_of_rounding(learner, settings.steps)
     return env, learner, Assessment(environment(settings, "tune"), learner.act, settings.assess_episodes)

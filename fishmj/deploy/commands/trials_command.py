@@ -73,7 +73,7 @@ def options() -> console.Parser:
     add("--speeds", type=console.Listed(console.number(0, 1)), metavar="M/S,..", help="of the water; default 0.1,0.2,0.3")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
     add("--los", type=los, metavar="DEG,..", help="lines of sight at the start: 0 straight upstream; default 0,45,..,315")
-    add("--repeats", type=console.whole(1, 1000), metavar="N", help="trials of every speed and direction; default 3")
+    add("--repeats", type=console.whole(1, protocol.MOST), metavar="N", help="trials of every speed and direction; default 3")
     add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
     add("--seed", type=console.SEED, default=0, help="of the trials, as of evaluate")
     add("--yes", action="store_true", help="ask nobody, and swim in lockstep, faster than real time: only with --link loopback")
