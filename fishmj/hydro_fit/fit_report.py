@@ -81,9 +81,10 @@ def check_rows(found: dict) -> list[dict]:
         for name, part in value.items() if isinstance(value, dict) else [("", value)]:
             limit, own = found["tolerances"][key], found["repeatability"].get(key)
             text = " to ".join(f"{x:g}" for x in limit) if isinstance(limit, list) else f"{limit:.3g}"
-            passed = limit[0] <= part <= limit[1] if isinstance(limit, list) else found["passed"].get(key)
+            n, ranged = found["n"][key], isinstance(limit, list)
+            passed = free_swims.covers_as_stated(part, n) if ranged else found["passed"].get(key)
             verdict = {True: "yes", False: "no", None: "cannot tell"}[passed]
-            row = {"figure": f"{key} {name}".strip(), "value": part, "tolerance": text, "solver's own": own, "n": found["n"][key]}
+            row = {"figure": f"{key} {name}".strip(), "value": part, "tolerance": text, "solver's own": own, "n": n}
             rows.append(row | {"passed": verdict})
     return rows
 
