@@ -139,8 +139,8 @@ def test_a_monitor_that_cannot_know_the_healthy_robot_is_refused(reference):
         Monitor(robot, reference=reference, power=False)
     with pytest.raises(ConfigError, match="expected a positive number"):
         Cusums(reference, 0.0, BLOCK)
-    with pytest.raises(ConfigError, match="expected at least 40"):
-        learn([], {})
+    with pytest.raises(ConfigError, match="60 s of healthy swimming to learn from, .*; expected at least 80 s"):
+        learn([{}] * 30, {})
 
 
 @pytest.mark.slow

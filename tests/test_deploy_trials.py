@@ -325,6 +325,10 @@ def test_a_session_of_something_else_is_refused(tmp_path):
 def test_without_a_robot_in_loopback_nobody_says_yes_for_the_person(tmp_path):
     with pytest.raises(ConfigError, match="--yes is for --link loopback"):
         trials_command.main([*WORDS, "--yes", "--out", str(tmp_path / "s")])
+    for words in ("--body fitted --flow 0.3,0", "--start=1,0,0"):  # every trial has its own
+        with pytest.raises(ConfigError, match="every trial sets by --(speeds and --direction|los); leave --(flow|start)"):
+            trials_command.main(["--policy", "station", f"--loopback={words}", "--out", str(tmp_path / "s")])
+    assert not (tmp_path / "s").exists()
     with pytest.raises(ConfigError, match="none is accepted yet"):
         trials_command.main([*WORDS, "--tables", "--out", str(tmp_path / "s")])
 

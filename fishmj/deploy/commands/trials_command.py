@@ -93,6 +93,9 @@ def main(argv: list[str], in_step: Wire | None = None) -> int:
     args = wiring.parsed(options(), argv)
     if args.yes and args.link != "loopback":
         raise ConfigError("trials: --yes is for --link loopback; a robot in water is put in place by a person")
+    for option, ours in (("--flow", "--speeds and --direction"), ("--start", "--los")):
+        if option in [word.partition("=")[0] for word in (args.loopback or "").split()]:
+            raise ConfigError(f"trials: --loopback with {option}, which every trial sets by {ours}; leave {option} out")
     robot = load_robot(args.robot)
     controller = LearnedController(robot, args.policy, args.anyway)
     flow_map = None if args.flow_map is None else FlowMap.read(args.flow_map)

@@ -26,8 +26,8 @@ from fishmj.base.processes import end_command, start_command
 from fishmj.deploy.loop.observation import Pose
 from fishmj.deploy.loop.supervisor import Event, SwimState
 from fishmj.deploy.loop.trial_log import TrialLog
-from fishmj.deploy.monitor.monitor import BLOCK, RATE, RUN_IN, SETTLE, Alarm, said
-from fishmj.deploy.monitor.statistics import LEAST_BLOCKS
+from fishmj.deploy.monitor.monitor import RATE, RUN_IN, SETTLE, Alarm, said
+from fishmj.deploy.monitor.statistics import BLOCK, LEAST_BLOCKS
 from fishmj.deploy.protocols.messages import Telemetry
 from fishmj.log import read_trial
 from fishmj.log.trial_folder import META_FILE

@@ -17,14 +17,13 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.monitor.prediction import Innovation, SwimPredictor, channels
-from fishmj.deploy.monitor.statistics import LEAST_BLOCKS, SIZE, Cusums, Reference, learn
+from fishmj.deploy.monitor.statistics import BLOCK, LEAST_BLOCKS, SIZE, Cusums, Reference, learn
 from fishmj.deploy.monitor.tick_interpolation import Ticks, as_heard
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
 
 RATE = 0.1  # false alarms an hour, of all tests together
 SETTLE = 300.0  # s of healthy swimming that the monitor learns from
-BLOCK = 2.0  # s of one block of the tests: about two beats
 RUN_IN = 6.0  # s until the observer has forgotten where it began
 
 Tables = Mapping[str, Mapping[str, Any]]

@@ -35,6 +35,7 @@ CLIP = 2.0  # deviations: a sharp turn of a few blocks, or a hand in the water, 
 LAGS = 8  # blocks over which scores are taken to be correlated
 RIDGE = 1e-3  # of the probes' own power
 FLOOR = 0.1  # c_p, as a share of a block's mean power of the probe
+BLOCK = 2.0  # s of one block: about two beats
 LEAST_BLOCKS = 40  # of a reference
 SIZE = "size"
 
@@ -132,9 +133,9 @@ class Reference:
 def learn(blocks: Sequence[Block], probes: Mapping[str, tuple[str, ...]]) -> Reference:
     """The reference of healthy blocks. Raises ConfigError: too few of them."""
     if len(blocks) < LEAST_BLOCKS:
-        raise ConfigError(
-            f"monitor: {len(blocks)} healthy blocks; expected at least {LEAST_BLOCKS}: give it a longer healthy log"
-        )
+        there, least = len(blocks) * BLOCK, LEAST_BLOCKS * BLOCK
+        what = f"{there:.0f} s of healthy swimming to learn from, without the first seconds of each swim"
+        raise ConfigError(f"monitor: {what}; expected at least {least:.0f} s, better minutes")
     made = {}
     for name, names in probes.items():
         errors, phis = [b[name][0] for b in blocks], [b[name][1] for b in blocks]
