@@ -397,6 +397,15 @@ def test_command_reports_and_continues_with_the_parts_that_are_there(tmp_path, c
     again = json.loads(out.splitlines()[-1])
     assert code == 0 and "1 of 2 parts" in err
     assert again["experiments"]["approach"]["compared"] == told["experiments"]["approach"]["compared"]
+    kept = {file: file.read_bytes() for file in tmp_path.glob("*.*")}
+    others = {
+        "seed 0, got 1": [*line, "--seed", "1"],
+        "policy.name dob, got pi": ["pi" if word == "dob" else word for word in line],
+    }
+    for what, other in others.items():
+        code, _, err = run_command(capsys, *other)
+        assert code == 2 and f"was begun with {what}; repeat the options to go on, or take another --out" in err
+    assert {file: file.read_bytes() for file in tmp_path.glob("*.*")} == kept, "rows and report stay"
 
 
 def test_policy_of_another_water_is_said_on_the_page(tmp_path, capsys):

@@ -9,6 +9,7 @@ from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked, checked_name, declared, option_of
 from fishmj.base.store import read_json
+from fishmj.base.store.begun import leaves
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
 from fishmj.water.choice import LBM
@@ -215,15 +216,9 @@ def same(folder: Path, mine: Settings, theirs: dict) -> None:
 
     Raises ConfigError: with both values of those that differ.
     """
-    a, b = flat(as_dict(mine)), flat(theirs)
+    a, b = dict(leaves(as_dict(mine))), dict(leaves(theirs))
     other = [k for k in {**a, **b} if a.get(k) != b.get(k) and k not in FREE]
     if other:
         message = "; ".join(f"{key} = {a.get(key, 'not set')}, the run has {b.get(key, 'not set')}" for key in other[:3])
         more = f" and {len(other) - 3} more" if len(other) > 3 else ""
         raise ConfigError(f"{folder}: {message}{more}; a run goes on with its own settings: leave these options out")
-
-
-def flat(table: dict) -> dict:
-    """Flattened table: `{"task": {"memory": 8}}` -> `{"task.memory": 8}`."""
-    nested = {f"{k}.{a}": b for k, v in table.items() if isinstance(v, dict) for a, b in v.items()}
-    return {k: v for k, v in table.items() if not isinstance(v, dict)} | nested

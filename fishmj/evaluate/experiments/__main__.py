@@ -11,7 +11,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.control.policy import BEST
 from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
-from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
+from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of, options_of
 from fishmj.evaluate.experiments.paper_experiment import ExperimentPart, ExperimentSetup, PaperExperiment
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, reference_option
 from fishmj.mjcf.reading import load_robot
@@ -27,7 +27,8 @@ EXAMPLES = f"""examples:
   fishmj experiments ablations --trained runs/ablation      policies that fishmj train made
   fishmj experiments approach comparison --water lbm --reference --tanks 24 --device cuda
 
-Rows are kept in --out as they are made: the same command continues after Ctrl-C. Default --out {OUT}.
+Rows are kept in --out as they are made: the same command continues after Ctrl-C, another policy,
+water, seed or size needs another one. Default --out {OUT}.
 """
 
 
@@ -73,6 +74,7 @@ def main(argv: list[str]) -> int:
     parts = [(name, part) for name in names for part in experiment_of(name).parts(setup)]
     trains = TRAINED if setup.trained is None else TRAINED[:1]
     agree(setup, sum(part.seconds for name, part in parts if name not in trains))
+    store.same_as_begun(args.out / "options.json", options_of(setup))
     kept = {name: ExperimentRows(args.out, name, identity_of(setup)) for name in MODULES}
     notes = [condition(setup), *getattr(setup.brain, "notes", ())]
     console.say(f"water: {notes[0]}")

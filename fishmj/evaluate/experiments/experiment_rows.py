@@ -3,6 +3,7 @@
 import json
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from fishmj.base import store
 from fishmj.base.source import package_sha256
@@ -10,15 +11,20 @@ from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup, Row
 from fishmj.water.water_identity import water_identity
 
 
-def identity_of(setup: ExperimentSetup) -> str:
-    """Sixteen characters that change with everything that would change a row: policy, robot, water, seed, size, code."""
-    what = {
-        "policy": [setup.leader, getattr(setup.brain, "sha256", "")],
-        "robot": [repr(setup.robot), repr(setup.robot.effects)],
-        "water": [water_identity(setup.robot), repr(setup.solver)],
-        "seed": [setup.seed, setup.quick],
-        "code": package_sha256(),
+def options_of(setup: ExperimentSetup) -> dict[str, Any]:
+    """Choices that all rows and the report of a folder share: policy, robot, water, seed, size."""
+    return {
+        "policy": {"name": setup.leader, "sha256": getattr(setup.brain, "sha256", "")},
+        "robot": sha256(f"{setup.robot!r} {setup.robot.effects!r}".encode()).hexdigest()[:16],
+        "water": water_identity(setup.robot) if setup.solver is None else {"name": "lbm", "solver": setup.solver.said},
+        "seed": setup.seed,
+        "quick": setup.quick,
     }
+
+
+def identity_of(setup: ExperimentSetup) -> str:
+    """Sixteen characters that change with everything that would change a row: the options, the solver's water, the code."""
+    what = [options_of(setup), water_identity(setup.robot), repr(setup.solver), package_sha256()]
     return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
