@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import plain, read_json, same_as_begun
+from fishmj.base.store.atomic import plain, read_json, same_as_begun
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup

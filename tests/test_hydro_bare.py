@@ -1,6 +1,7 @@
 """The bare `python -m fishmj.hydro_fit`: what it solves, what it goes on with, what it says of a preview. All is synthetic."""
 
 import json
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -264,7 +265,10 @@ class Fitted:
         pass
 
     def run(self) -> HydroModel:
-        return replace(HydroModel.load("swift-base"), scores={"validation": 2.0})
+        row = {"name": "alpha", "value": 0.5, "status": "not identified", "partner": "", "correlation": 0.0}
+        row |= {"sd": 1.0, "prior": 0.5, "prior_sd": 1.0}
+        found = dict.fromkeys(("linear", "rollout"), {"condition": 1.0, "parameters": {"alpha": row}})
+        return replace(HydroModel.load("swift-base"), scores={"validation": 2.0}, found=found)
 
     def score(self, water, learnt) -> float:
         return 1.0
@@ -281,7 +285,10 @@ def test_preview_never_replaces_a_whole_model_and_a_whole_replaces_preview(home,
         Manifest.of(data, {"missing": missing}).write(data)
         asked = ["fit", "--data", str(data), "--name", name, "--json", *(["--out", str(out)] if out else [])]
         assert console.run(verb.main, asked) == console.OK
-        return json.loads(capsys.readouterr().out.splitlines()[-1])
+        out = capsys.readouterr().out
+        stages = re.findall(r"stage (\w+): alpha = 0.5 is not identified: not quoted as calibrated", out)
+        assert stages == ["linear", "rollout"] and out.count("not identified") == 2, "each with its stage"
+        return json.loads(out.splitlines()[-1])
 
     # the shipped water stands in the default place: a preview goes beside it, a whole model that is worse is rejected
     first = fitted(3, None, "swift")

@@ -286,7 +286,11 @@ def fit(robot: Robot, folder: Path, args) -> dict:
         done = FitPipeline(robot, train, val, dataset=about, settings=settings, folder=work, report=told, given=given)
         with interrupt.keeping(done.kept_so_far):
             model = replace(done.run(), name=args.name or robot.name, preview=data.preview)
-    console.say(*(f"stage {name}: {words}" for name, stage in model.found.items() for words in doubtful(stage)))
+    found = ((name, row) for name, stage in model.found.items() for row in stage["parameters"].values())
+    for stage, row in found:
+        if row["status"] != "identified":
+            trade = f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
+            console.say(f"stage {stage}: {row['name']} = {row['value']:.3g} is {row['status']}{trade}: not quoted as calibrated")
     standing = standing_model(out, model.name, robot_hash(robot))
     if model.preview and standing is not None and not standing[0].preview:
         model = replace(model, name=f"{model.name}{PREVIEW}")
@@ -302,13 +306,6 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     place = path if standing is None or taken else standing[1]
     row = {"model": str(path), "taken": taken, "place": str(place), "preview": model.preview, "validation": new, "standing": old}
     return row | {"seconds": done.seconds, "notes": done.notes}
-
-
-def doubtful(stage: dict) -> list[str]:
-    """Line on each parameter that a stage of the fit has not identified."""
-    trade = lambda row: f"; it trades with {row['partner']} ({row['correlation']:+.2f})" if row["partner"] else ""
-    rows = (row for row in stage["parameters"].values() if row["status"] != "identified")
-    return [f"{row['name']} = {row['value']:.3g} is {row['status']}{trade(row)}: not quoted as calibrated" for row in rows]
 
 
 def chosen(robot: Robot, args) -> HydroModel:

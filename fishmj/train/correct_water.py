@@ -20,7 +20,8 @@ from typing import Any
 from fishmj.base import console, interrupt
 from fishmj.base.calib import OWN
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import read_json, same_as_begun, write_json
+from fishmj.base.store import read_json, write_json
+from fishmj.base.store.atomic import same_as_begun
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data.collect import Local, Pool, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup

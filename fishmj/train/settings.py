@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked, checked_name, declared, option_of
-from fishmj.base.store import read_json
-from fishmj.base.store.begun import leaves
+from fishmj.base.store.atomic import leaves, read_json
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
 from fishmj.water.choice import LBM

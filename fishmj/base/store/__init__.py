@@ -2,7 +2,6 @@
 
 from fishmj.base.store.arrays import Checkpoint, Checkpoints, read_npz, read_tensors, write_npz, write_tensors
 from fishmj.base.store.atomic import clear, plain, put_in_place, read_json, sync_folder, write_bytes, write_json, write_text
-from fishmj.base.store.begun import same_as_begun
 from fishmj.base.store.manifest import Change, Manifest, left_out, sha256, shipped
 from fishmj.base.store.temporary import temporary_beside
 
@@ -19,7 +18,6 @@ __all__ = [
     "read_tensors",
     "sha256",
     "put_in_place",
-    "same_as_begun",
     "shipped",
     "sync_folder",
     "temporary_beside",

@@ -8,6 +8,7 @@ from pathlib import Path
 from fishmj import control
 from fishmj.base import console, interrupt, store
 from fishmj.base.errors import ConfigError
+from fishmj.base.store.atomic import same_as_begun
 from fishmj.control.policy import BEST
 from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
@@ -74,7 +75,7 @@ def main(argv: list[str]) -> int:
     parts = [(name, part) for name in names for part in experiment_of(name).parts(setup)]
     trains = TRAINED if setup.trained is None else TRAINED[:1]
     agree(setup, sum(part.seconds for name, part in parts if name not in trains))
-    store.same_as_begun(args.out / "options.json", options_of(setup))
+    same_as_begun(args.out / "options.json", options_of(setup))
     kept = {name: ExperimentRows(args.out, name, identity_of(setup)) for name in MODULES}
     notes = [condition(setup), *getattr(setup.brain, "notes", ())]
     console.say(f"water: {notes[0]}")

@@ -13,13 +13,10 @@ from fishmj.water.water_identity import water_identity
 
 def options_of(setup: ExperimentSetup) -> dict[str, Any]:
     """Choices that all rows and the report of a folder share: policy, robot, water, seed, size."""
-    return {
-        "policy": {"name": setup.leader, "sha256": getattr(setup.brain, "sha256", "")},
-        "robot": sha256(f"{setup.robot!r} {setup.robot.effects!r}".encode()).hexdigest()[:16],
-        "water": water_identity(setup.robot) if setup.solver is None else {"name": "lbm", "solver": setup.solver.said},
-        "seed": setup.seed,
-        "quick": setup.quick,
-    }
+    policy = {"name": setup.leader, "sha256": getattr(setup.brain, "sha256", "")}
+    robot = sha256(f"{setup.robot!r} {setup.robot.effects!r}".encode()).hexdigest()[:16]
+    water = water_identity(setup.robot) if setup.solver is None else {"name": "lbm", "solver": setup.solver.said}
+    return {"policy": policy, "robot": robot, "water": water, "seed": setup.seed, "quick": setup.quick}
 
 
 def identity_of(setup: ExperimentSetup) -> str:

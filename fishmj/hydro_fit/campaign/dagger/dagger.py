@@ -32,7 +32,8 @@ from fishmj.base import console, interrupt
 from fishmj.base.calib import OWN, constant
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, DatasetError
-from fishmj.base.store import read_json, same_as_begun, write_json
+from fishmj.base.store import read_json, write_json
+from fishmj.base.store.atomic import same_as_begun
 from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
