@@ -29,7 +29,7 @@ EXAMPLES = f"""examples:
   fishmj experiments approach comparison --water lbm --reference --tanks 24 --device cuda
 
 Rows are kept in --out as they are made: the same command continues after Ctrl-C, another policy,
-water, seed or size needs another one. Default --out {OUT}.
+water, seed or size needs another one. Default --out {OUT}, with --quick {OUT}-quick.
 """
 
 
@@ -53,18 +53,19 @@ def options() -> console.Parser:
     )
     add("--trained", type=console.path, metavar="DIR", help=trained)
     add("--seed", type=console.SEED, default=0, help="of all draws")
-    add("--out", type=console.out_folder, default=OUT, metavar="DIR", help="folder of rows and report.html")
+    add("--out", type=console.out_folder, metavar="DIR", help="folder of rows and report.html")
     return parser
 
 
 def main(argv: list[str]) -> int:
     """Runs the verb `experiments`; returns the exit code."""
     args = options().parse_args(argv)
-    stated = {"--quick": args.quick, "--out": args.out != Path(OUT), "--trained": args.trained}
+    stated = {"--quick": args.quick, "--out": args.out, "--trained": args.trained}
     if not args.names and (unused := [option for option, value in stated.items() if value]):
         raise ConfigError(f"experiments: {unused[0]} without a NAME, which only lists the experiments; add names or {ALL}")
     if args.trained and not {TRAINED[1], ALL} & set(args.names):
         raise ConfigError(f"experiments: --trained has an effect with {TRAINED[1]} only; leave it out, or add {TRAINED[1]}")
+    args.out = args.out or Path(f"{OUT}-quick" if args.quick else OUT)
     setup = setup_of(args)
     if not args.names:
         console.say(console.table(listed(setup)), "", "add names or all; --quick for a preview; compiling adds some 15 s of CPU")
