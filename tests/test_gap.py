@@ -4,6 +4,8 @@ A latency, a force outside the catalogue, restless water, and one more fish with
 test_gap_outdone.py.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,24 @@ def test_rollouts_are_those_of_mujoco(plant):
     assert np.abs(seen["joint"][0] - record.joint.values).max() < 1e-9
     late = np.interp(record.pose.t - plant.camera, record.pose.t, record.pose.values[:, 0])
     assert np.abs(seen["pose"][0, 10:, 0] - late[10:]).max() < 1e-3  # straight lines between stamps against the cubic
+
+
+def test_a_command_acts_at_its_stamp_and_not_at_the_models_next_step(plant):
+    """A clock 40 ppm fast stamps every command just behind a step: the joints are those of the exact clock all the same."""
+    trial = Sim("fish", water="structured").run(lambda t: 0.5 * np.sin(6 * t - np.arange(3)) * min(t, 1.0), 3.0)
+    cmd = trial.table("cmd")
+    seen = []
+    for stamps in (cmd["t"], cmd["t"] * (1 + 40e-6), cmd["t"] + np.where(np.arange(len(cmd["t"])) % 2, 1.3e-3, 0.0)):
+        record = record_of(replace(trial, tables=trial.tables | {"cmd": cmd | {"t": stamps}}), plant.dt)
+        seen.append(plant.predict([record], plant.null)[0]["joint"][0])
+        held = np.interp(
+            np.arange(len(record.commands) + 1) * plant.dt,
+            np.append(stamps, 9.0),
+            np.r_[0, np.cumsum(cmd["c1"] * np.diff(stamps, append=9.0))],
+        )
+        assert np.diff(held) / plant.dt == pytest.approx(record.commands[:, 0], abs=1e-9)
+    assert np.abs(seen[1] - seen[0]).max() < 5e-4
+    assert np.abs(seen[2] - seen[0]).max() < 3e-3  # half of the commands are 1.3 ms late
 
 
 @pytest.mark.part("search")

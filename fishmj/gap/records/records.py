@@ -1,7 +1,7 @@
 """A trial as the input of the search, and its comparison with a model.
 
-Record           commands at the model's steps, every measurement at its own time stamps: nothing measured is resampled, commands
-                 are held from one to the next, like in the servo
+Record           every measurement at its own time stamps: nothing measured is resampled. Commands are held from one to the next,
+                 like in the servo; a model's step in which one arrives has the mean over the step
 ResidualLayout   short averages of every channel, measured minus predicted, as one long vector
 
 A fast channel is averaged over 60 ms, a slow one over 0.2 s: less noise, without loss for a beat of 3 Hz. Heading and
@@ -46,7 +46,7 @@ class Record(NamedTuple):
     excitation: str
     replicate_of: str
     dt: float  # s, the model's step
-    commands: np.ndarray  # (T, J) rad at the model's steps, held
+    commands: np.ndarray  # (T, J) rad, mean over each of the model's steps
     joint: Sensor | None  # rad, J columns
     pose: Sensor | None  # x, y m, yaw rad unwrapped
     power: Sensor | None  # W, one column
@@ -91,7 +91,6 @@ def record_of(trial: Trial, dt: float) -> Record:
         late = f"the last measurement is {end:.4g} s after the first command, at most {LONGEST:g} s are compared"
         raise LogError(f"trial {trial.name}: {late}; do all tables count from the same zero?")
     steps = int(np.ceil(end / dt)) + 1
-    rows = np.searchsorted(cmd["t"] - begin, np.arange(steps) * dt + 1e-9, side="right") - 1
     push = _three(trial, "push", (0.0, 0.0, 0.0))
     still = _still(cmd["t"] - begin, c, joint)
     _refuse_late(trial.name, {"joint": joint, "pose": pose}, still)
@@ -109,7 +108,7 @@ def record_of(trial: Trial, dt: float) -> Record:
         excitation=str(trial.value("excitation", "") or ""),
         replicate_of=str(trial.value("replicate_of", "") or ""),
         dt=dt,
-        commands=c[np.maximum(rows, 0)],
+        commands=_mean_commands(cmd["t"] - begin, c, steps, dt),
         joint=joint,
         pose=pose,
         power=power,
@@ -124,6 +123,16 @@ def record_of(trial: Trial, dt: float) -> Record:
         stated=_stated(trial),
         placed=None if place is None or pose is None or push.any() else _placed(begins, place, pose.sigma),
     )
+
+
+def _mean_commands(t: np.ndarray, c: np.ndarray, steps: int, dt: float) -> np.ndarray:
+    """(steps, J) mean over each step of commands that are held from their stamps on; a stamp within 1 ns of a step begins it."""
+    whole = np.ceil((t - TINY) / dt).astype(int)  # the first step that a command fills
+    out = c[np.searchsorted(whole, np.arange(steps), side="right") - 1]
+    share = whole[1:] - t[1:] / dt  # of the step before
+    part = (share * dt > TINY) & (whole[1:] <= steps)
+    np.add.at(out, whole[1:][part] - 1, share[part, None] * np.diff(c, axis=0)[part])
+    return out
 
 
 def _refuse_late(name: str, seen: dict[str, Sensor | None], still: float) -> None:
