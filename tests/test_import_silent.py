@@ -333,3 +333,66 @@ def test_coarse_numbers_of_a_slow_fish_and_rests_keep_every_row(tmp_path, bring,
     code, out, err = bring(tmp_path / "in", "--yes")
     assert code == 0 and "written at" not in out + err
     assert len(only(tmp_path / "set").tables["pose"]["t"]) == len(t)
+
+
+def test_an_angle_beside_x_and_y_may_be_the_heading(tmp_path, bring):
+    """It is no joint unasked: neither beside one command of another file, nor in a log without commands."""
+    turn = {"time": T, "x_mm": 100 * T, "y_mm": 3 * np.sin(T), "angle_deg": 57 * SWING[0]}
+    lab_files.write(tmp_path / "one" / "tracker.csv", turn)
+    lab_files.write(tmp_path / "one" / "servo.csv", {"time": T, "goal_deg": 20 * SWING[0]})
+    lab_files.write(tmp_path / "alone" / "tracker.csv", turn)
+    for folder in ("one", "alone"):
+        code, _, err = bring(tmp_path / folder, "--yes")
+        assert code == 2 and "the heading, or a joint's?" in err and "--set angle_deg=pose.yaw:deg or joint.j1:deg" in err
+    assert bring(tmp_path / "one", "--yes", "--set", "angle_deg=pose.yaw:deg")[0] == 0
+    near(only(tmp_path / "set").table("pose")["yaw"], np.radians(57 * SWING[0]))
+
+
+@pytest.mark.parametrize("part", ["nose", "tail", "peduncle"])
+def test_a_point_at_an_end_of_the_fish_is_not_its_pose_unasked(tmp_path, bring, part):
+    point = {"time": T, f"{part}_x_mm": 100 * T, f"{part}_y_mm": 3 * np.sin(T), "heading_deg": 57 * SWING[0]}
+    lab_files.write(tmp_path / "a.csv", point)
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and f"the {part}; a pose is of the straight fish's centre of mass" in err
+    said = [word for axis in "xy" for word in ("--set", f"{part}_{axis}_mm=pose.{axis}:mm")]
+    assert bring(tmp_path / "a.csv", "--yes", *said)[0] == 0
+
+
+@pytest.mark.parametrize(
+    "slip", [{"x_px": "px*0.00125", "y_px": "px*0.0125"}, {"x_mm": "cm"}, {"x_mm": "mm*0.5", "y_mm": "mm"}], ids=str
+)
+def test_one_camera_has_one_scale(tmp_path, bring, slip):
+    unit = next(iter(slip)).removeprefix("x_")
+    place = {f"x_{unit}": 100 * T, f"y_{unit}": 3 * np.sin(T), "heading_deg": 57 * SWING[0]}
+    lab_files.write(tmp_path / "a.csv", {"time": T, **place})
+    said = [word for name, what in slip.items() for word in ("--set", f"{name}=pose.{name[0]}:{what}")]
+    code, _, err = bring(tmp_path / "a.csv", "--yes", *said)
+    assert code == 2 and "expected one scale for x and y" in err and f"'x_{unit}'" in err
+
+
+def test_units_that_the_header_states_may_differ(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"time": T, "x_mm": 100 * T, "y_cm": 3 * np.sin(T), "heading_deg": 57 * SWING[0]})
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
+    near(only(tmp_path / "set").table("pose")["y"], 0.03 * np.sin(T))
+
+
+def test_identities_of_servos_are_no_numbers_of_joints(tmp_path, bring):
+    """Each may be any joint; once one is said, the rest count on from it."""
+    lab_files.write(tmp_path / "a.csv", {"time": T, **{f"goal_{11 + k}_deg": 20 * q for k, q in enumerate(SWING[:2])}})
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and "--set goal_11_deg=cmd.c1:deg or cmd.c2:deg;" in err
+    code, _, err = bring(tmp_path / "a.csv", "--yes", "--set", "goal_11_deg=cmd.c1:deg")
+    assert code == 2 and "--set goal_12_deg=cmd.c2:deg;" in err
+    lab_files.write(tmp_path / "b.csv", {"time": T, "goal1_deg": 20 * SWING[0], "goal2_deg": 20 * SWING[1]})
+    code, out, _ = bring(tmp_path / "b.csv", "--yes", "--set", "goal1_deg=cmd.c1:deg", out=tmp_path / "said")
+    assert code == 0 and set(only(tmp_path / "said").table("cmd")) == {"t", "c1", "c2"}
+
+
+@pytest.mark.parametrize("names", [("cmdA", "cmdB"), ("goal_A", "goal_B"), ("servo a", "servo b")], ids=str)
+def test_letters_of_two_servos_are_no_units(tmp_path, bring, names):
+    """`cmdA` is no current: each is asked which joint it is, also beside a voltage that would make a current of it."""
+    lab_files.write(
+        tmp_path / "a.csv", {"time": T, **dict(zip(names, (20 * q for q in SWING), strict=False)), "vbat": 11.1 + 0 * T}
+    )
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and all(f"--set {name}=cmd.c1:deg or cmd.c2:deg" in err for name in names)

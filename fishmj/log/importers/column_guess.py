@@ -1,10 +1,12 @@
 """A column's guessed meaning, and the files that share their columns."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from fishmj.log.importers import header
 from fishmj.log.importers.sheet import Sheet
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
@@ -67,3 +69,45 @@ class FileKind:
     def values(self, column: str) -> np.ndarray:
         """Values of a column (T,), all files one after the other."""
         return np.concatenate([sheet.columns[column][:ROWS] for sheet in self.sheets[:16]])
+
+
+def without_letter(column: str, columns: Sequence[str]) -> str:
+    """Name of a column without the letter that tells alike columns apart: cmdA beside cmdB is no current."""
+    stem, last = column[:-1], column[-1:]
+    alike = {stem + letter for letter in ("ab" if last.islower() else "AB")} <= set(columns)
+    return stem.rstrip("_-. ") or column if alike and last.isalpha() else column
+
+
+def headings(guesses: list[Guess]) -> list[Guess]:
+    """Asks about one angle without a number beside x and y: the heading of the fish, or the angle of a joint."""
+    places, out = {(g.kind, g.place) for g in guesses}, list(guesses)
+    free = [i for i, g in enumerate(guesses) if g.places == ("cmd.c#", "joint.j#") and (g.kind, "pose.x") in places]
+    if len(free) == 1 and all(place != "pose.yaw" for _, place in places):
+        if not header.parse(guesses[free[0]].column).has(header.SERVO):
+            why = "an angle beside x and y: the heading, or a joint's?"
+            out[free[0]] = guesses[free[0]].unclear(why, places=("pose.yaw", "joint.j#"))
+    return out
+
+
+def off_centre(guesses: list[Guess]) -> list[Guess]:
+    """Asks about a pose of another point than the centre of mass, which the name of the column tells."""
+    out = list(guesses)
+    for i, g in enumerate(guesses):
+        part = header.ENDS.intersection(header.parse(g.column).words)
+        if part and g.state == TAKEN and not g.said and g.place in ("pose.x", "pose.y"):
+            out[i] = g.unclear(f"the {part.pop()}; a pose is of the straight fish's centre of mass: shift it, or take it as is")
+    return out
+
+
+def without_holes(guesses: list[Guess], mine: list[int], template: str) -> list[Guess]:
+    """Asks about the joints `mine` whose numbers, with those that the user said, do not count from 1: identities on a bus."""
+    out, size, numbers = list(guesses), len(template), {i: int(guesses[i].place[len(template) :]) for i in mine}
+    said = [int(g.place[size:]) for g in guesses if g.said and g.place.startswith(template) and g.place[size:].isdecimal()]
+    many = len(mine) + len(said)
+    if sorted([*numbers.values(), *said]) == list(range(1, many + 1)) or len(set(numbers.values())) < len(mine):
+        return out
+    for i, own in numbers.items():
+        free = [n for n in range(1, many + 1) if n not in said] + [own] * (own == many + 1)
+        why = f"numbers {', '.join(map(str, sorted(numbers.values())))} have holes: which joint is it?"
+        out[i] = guesses[i].unclear(why, places=tuple(f"{template}{n}" for n in free))
+    return out

@@ -28,6 +28,7 @@ NEAR, SLACK = 10, 0.01  # steps, or part of the period of a counter that may go 
 _PIECES = re.compile(r"(\d+)")
 FEW = 3  # times that a clock which was set goes back; rows that are mixed do so more often
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
+STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
@@ -177,6 +178,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
                     f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
                     f"leave it out of the map, or --set {bare(source.column)}=skip"
                 )
+    _refuse_stretched(table, sheet, entry)
     keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)
     if not keep.any():
         raise LogError(
@@ -208,6 +210,18 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
         raise LogError(f"{sheet.place(int(rows[row]), names.get(column, ''))}: [tables.{table}]: {text}")
     place = renamed(lambda row, column: sheet.place(int(rows[row]) if 0 <= row < len(rows) else -1, column), names)
     return columns, place, notes, absolute
+
+
+def _refuse_stretched(table: str, sheet: Sheet, entry: TableMap) -> None:
+    """Raises LogError if x and y have scales of their own, none of them plain metres, that the file's header does not state."""
+    axes = [entry.columns[axis] for axis in "xy" if axis in entry.columns]
+    factors = {c.column: abs(c.factor) for c in axes if c.column and (c.unit not in ("", "m") or c.scale != 1)}
+    if len(factors) < 2 or max(factors.values()) <= STRETCHED * min(factors.values()):
+        return
+    if [(c.unit, c.scale) for c in axes] != [(sheet.units.get(name) or header.parse(name).unit, 1.0) for name in factors]:
+        each = ", ".join(f"{quoted(name)} {factor:.4g} m" for name, factor in factors.items())
+        message = f"{sheet.where}: [tables.{table}]: a unit of the file is in {each}; expected one scale for x and y"
+        raise LogError(f"{message}. Mend unit or scale, or state both units in the file's header")
 
 
 def _angles(table: str, columns: Iterable[str]) -> list[str]:

@@ -8,7 +8,7 @@ from glob import escape
 import numpy as np
 
 from fishmj.base.errors import LogError, UnknownName
-from fishmj.log.importers import column_units, header
+from fishmj.log.importers import column_guess, column_units, header
 from fishmj.log.importers.cells import TIME_CODE
 from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.column_map import measured
@@ -68,10 +68,10 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
         out += _roles(k, kind, said)
     if unknown := [name for name in said if not any(kind.called(name) for kind in found)]:
         raise UnknownName("column in --set", bare(unknown[0]), {bare(g.column) for g in out})
-    out = _commanded_or_measured(out)
+    out = _commanded_or_measured(column_guess.headings(out))
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
-    out = _once(_points(_upright(out, found)), found)
+    out = _once(column_guess.off_centre(_points(_upright(out, found))), found)
     return _complete(_nameless_joints(_counts(_silent(out, found)), found), found)
 
 
@@ -83,7 +83,7 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
             f"--set {quoted(kind.sheets[0].name)}: is a file or topic, which can be left out with =skip; name a column"
         )
     for column in kind.columns:
-        name = header.parse(column)
+        name = header.parse(column_guess.without_letter(column, kind.columns))
         if answer := whole or said.get(column) or _of_its_joint(column, said):
             place, unit, scale = answer
             state, where = (LEFT, ()) if place == "skip" else (TAKEN, (place,))
@@ -185,15 +185,8 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
             places = tuple(f"{template}{n + 1}" for n in range(len(mine)))
             for i in bare:
                 out[i] = out[i].unclear("which joint is it, counted from the nose?", places=places)
-        numbers = [int(out[i].place.removeprefix(template)) for i in mine if i not in bare]
-        if (
-            numbers
-            and template in ("cmd.c", "joint.j")
-            and sorted(numbers) != list(range(1, len(numbers) + 1))
-            and len(set(numbers)) == len(numbers)
-        ):
-            for i in (i for i in mine if i not in bare):
-                out[i] = out[i].unclear(f"numbers {', '.join(map(str, sorted(numbers)))} have holes: which joint is it?")
+        if template in ("cmd.c", "joint.j"):
+            out = column_guess.without_holes(out, [i for i in mine if i not in bare], template)
     if any(g.place.endswith("#") for g in out):
         out = [g.left("needs a number") if g.place.endswith("#") and g.state == TAKEN else g for g in out]
     return [replace(g, places=tuple(p.replace("#", "1") for p in g.places)) for g in out]

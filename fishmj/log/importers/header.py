@@ -25,6 +25,7 @@ ALONG = {"nose": -1, "snout": -1, "head": 0, "kopf": 0, "body": 1, "trunk": 1, "
 ALONG |= {"tail": 3, "schwanz": 3, "caudal": 4, "fin": 4, "flosse": 4, "fluke": 4}  # parts of a fish in their order from the nose
 BESIDE = set("left right pectoral pelvic dorsal anal ventral side links rechts".split())  # fins that are in no chain
 PART = set("peduncle caudal fluke tail fin hinge schwanz flosse".split())  # what a joint may be called after
+ENDS = {"nose", "snout"} | PART - {"hinge"}  # points of a fish that are not its centre of mass
 RATE = set("twist vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
 CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body kamera".split())
 HEADING = set("yaw heading hdg theta psi orientation kurs gier orientierung ausrichtung lacet rumbo".split())
