@@ -215,6 +215,14 @@ def test_noise_quick_turns_and_fixes_that_hold_are_no_lost_poses():
         assert physical_checks.without_failed_reads(good) == (good, [])
 
 
+@pytest.mark.parametrize("fast", [25 / 30, 30 / 25])
+def test_frames_counted_at_another_rate_show_in_a_steady_beat(fast):
+    trial = shipped("swim_gait_1")
+    other = changed(trial, "pose", t=lambda t: t / fast)
+    assert levels(other) == {"handedness": physical_checks.USE} and levels(trial) == {}
+    assert f"frames a second right? Its stamps times {fast:.2g}" in names(other)["handedness"]
+
+
 @pytest.mark.parametrize("name", ["swim_gait_1", "water_square_1", "swim_gait_slow_2"])
 def test_a_mirrored_camera_shows_in_straight_swims(name):
     mirrored = changed(shipped(name), "pose", y=lambda v: -v, yaw=lambda v: -v)
@@ -262,6 +270,7 @@ def test_a_heading_turned_round_shows_in_a_turn_with_side_slip(joints):
     assert names(slipping) == {}
     reversed_ = changed(slipping, "pose", yaw=lambda v: v + np.pi)
     assert levels(reversed_)["heading"] == "import" and "the heading is offset" in names(reversed_)["heading"]
+    assert "where a current carries the fish, state it as flow" in names(reversed_)["heading"]
 
 
 def test_a_straight_swim_beside_its_heading_is_noted_not_refused():

@@ -29,6 +29,7 @@ FEWEST, MOSTLY = 8, 0.9  # courses; share of them within 60 deg of ahead, or of 
 BEATS, SWING, ALIKE = 2.0, 0.02, 0.7  # of a wave; rad, deviation of its joints; how much of one joint's beat its neighbour shows
 DOWN = 0.15  # mean sine of the lag from one joint to the next from which the wave runs to the tail
 NEAR = 20.0  # deg from a quarter turn that still is one
+APACE, STEADY = 0.03, 0.9  # logarithm of two beats' ratio; share of the power of a steady beat that is in its line
 NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
 
 
@@ -89,7 +90,8 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     message = f"pose: the fish moves {mean:.0f} deg off its heading (scatter {np.degrees(off[1]):.0f} deg)"
     near = 180 if astern else round(mean / 90) * 90
     if astern or (turned > TURN and near and abs(mean - near) < NEAR):
-        yield IMPORT, f"{message}: the heading is offset. In the map give columns.yaw a zero that is {-near:d} deg more"
+        zero = f"In the map give columns.yaw a zero that is {-near:d} deg more"
+        yield IMPORT, f"{message}: the heading is offset. {zero}; where a current carries the fish, state it as flow in [meta]"
         return
     compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
     if near and abs(mean - near) < NEAR:
@@ -118,6 +120,11 @@ def handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     swing, turn = (_fast(np.gradient(_mean_over(_mean_over(x, 5), 5), GRID)) for x in (tail, yaw))
     if np.std(swing) < BEAT:
         return
+    tail, head = _beat(swing), _beat(turn)
+    if bounds.hand < 1 and tail and head and abs(log(head / tail)) > APACE and abs(head - tail) > 1 / (len(grid) * GRID):
+        beats = f"pose: the head swings at {head:.3g} Hz, the tail at {tail:.3g} Hz: are the camera's frames a second right?"
+        yield USE, f"{beats} Its stamps times {head / tail:.3g} would agree: scale of t in [tables.pose] of the map"
+        return
     found = [correlation(*delayed(swing, turn, lag)) for lag in (SEEN if measured else FOLLOWS)]
     if max(found) > bounds.hand and min(found) > -OTHER:
         text = (
@@ -127,6 +134,13 @@ def handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             " is stamped half a beat late (compare the clocks at one sharp move)"
         )
         yield USE, text
+
+
+def _beat(x: np.ndarray) -> float:
+    """Frequency of a steady beat, Hz; 0 for any other motion."""
+    power = np.abs(np.fft.rfft(x * np.hanning(len(x)), 4 * len(x))) ** 2
+    top = int(np.argmax(power))
+    return top / (4 * len(x) * GRID) if power[max(top - 8, 0) : top + 9].sum() > STEADY * power.sum() else 0.0
 
 
 def wave(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:

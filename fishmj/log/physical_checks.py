@@ -15,7 +15,7 @@ command) passes.
     joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body
-    handedness      the head recoils against the tail's swing; a picture in a mirror shows it swing along
+    handedness      the head recoils against the tail's swing, at its beat; a picture in a mirror shows it swing along
     wave            the body wave of a fish that swims ahead runs to its tail
 """
 
