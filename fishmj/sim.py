@@ -29,7 +29,7 @@ from fishmj.mjcf.model import personalise, reference_pose, reference_qpos
 from fishmj.mjcf.servos import arrived_of, on_the_bus
 from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
-from fishmj.water.flow import Current, Flow, sample
+from fishmj.water.flow import TURN, Current, Flow, sample
 from fishmj.water.prior import flat, unflat
 
 ELLIPSOID = "ellipsoid"  # MuJoCo's own fluid, for comparison
@@ -92,6 +92,7 @@ class Sim:
         self.water_name = choice.HYBRID if corrected else model
         self.root = root
         self.start = tuple(checked_array("Sim: pose", pose, (3,)).tolist())
+        checked("Sim: pose, yaw", self.start[2], *TURN)
         self.flow = checked_kind("Sim: flow", flow, Flow) or Flow()
         checked_kind("Sim: swimmer", swimmer, planar_chain.Swimmer)
         if hybrid is not None and not corrected:
@@ -122,7 +123,7 @@ class Sim:
         """Advances one bus tick (20 ms) after sending `command`, (J,) joint angles in rad.
 
         Raises:
-            ConfigError: the command is not finite, or for another number of joints.
+            ConfigError: the command is not finite, beyond pi, or for another number of joints.
             SimDiverged: the state of the fish is not finite; the last 100 states are saved and named in the message.
         """
         current = self._current if self.hybrid is None else self._correct()
@@ -176,7 +177,10 @@ class Sim:
     def _send(self, command) -> np.ndarray:
         """Puts a command on the bus; returns it, (J,) rad, as the servos get it."""
         what = f"Sim.step: command, rad ({self.robot.name} has {self.robot.n_joints} joints),"
-        sent = on_the_bus(self.robot.servo, checked_array(what, command, (self.robot.n_joints,)))
+        asked = checked_array(what, command, (self.robot.n_joints,))
+        if (most := float(np.abs(asked).max())) > np.pi:
+            raise ConfigError(f"{what} goes to {most:.4g}; expected at most {np.pi:.4g}; are these degrees?")
+        sent = on_the_bus(self.robot.servo, asked)
         self.commands.append(sent)
         return sent
 

@@ -9,6 +9,7 @@ from raft import KEY, ROBOT, Raft, environment, push
 
 from fishmj import engines, suite
 from fishmj.base.errors import ConfigError, FishmjError, UnknownName
+from fishmj.evaluate.protocol import trials
 from fishmj.sim import Sim
 from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.episode import TaskOptions, TaskSpec
@@ -68,7 +69,7 @@ JAX = [
 TASKS = [
     (lambda: TaskOptions(turbulence="none", intensity=0.3), "intensity = 0.3 with turbulence none"),
     (lambda: TaskOptions(flow_exponent=2, flow_speed=0.2), "flow_exponent = 2 with flow_speed = 0.2"),
-    (lambda: TaskOptions(flow_direction="west"), "flow_direction = 'west'; expected a finite number"),
+    (lambda: TaskOptions(flow_direction="west"), "flow_direction = 'west'; expected a number from -6.2832"),
     (lambda: TaskOptions(flow_speed="fast"), "flow_speed = 'fast'"),
     (lambda: TaskOptions(flow_speed=(0.3, 0.1)), "flow_speed"),
     (lambda: TaskOptions(seconds=(1, 2)), "seconds"),
@@ -132,6 +133,11 @@ SIM = [
     (lambda: Sim(engine="batch"), "unknown engine 'batch'"),
     (lambda: Sim(pose=(0, 0)), r"pose = \(0, 0\) of shape \(2,\); expected finite numbers of shape \(3,\)"),
     (lambda: Sim(pose=(0, NAN, 0)), r"pose\[1\] = nan; expected finite numbers of shape \(3,\)"),
+    (lambda: Sim(pose=(0, 0, 90)), r"pose, yaw = 90.0; expected a number from -6.2832 to 6.2832"),
+    (lambda: Sim().step(np.full(3, 25.0)), r"command, rad.*goes to 25; expected at most 3.142; are these degrees\?"),
+    (lambda: Flow(direction=180), "direction = 180; expected a number from -6.2832 to 6.2832"),
+    (lambda: FishEnv(flow_direction=180), "flow_direction = 180"),
+    (lambda: trials(direction=180), "direction = 180"),
     (lambda: Sim(latency=-1), "latency = -1; expected a number from 0 to 60"),
     (lambda: Sim(latency="x"), "latency = 'x'"),
     (lambda: Sim(swimmer=3), "swimmer = 3"),

@@ -152,7 +152,7 @@ def randomised(robot, count):
     p = p._replace(zero=rng.uniform(-0.09, 0.09, p.zero.shape), delay=rng.integers(5, 31, count).astype(np.int32))
     pose = rng.uniform(-1.5, 1.5, (count, 3))
     commands = np.clip(np.cumsum(rng.uniform(-0.4, 0.4, (count, 20, robot.n_joints)), 1), -1.2, 1.2)
-    flow = stack([Flow(speed=0.3, direction=float(i), turbulence="default", intensity=0.2, seed=i) for i in range(count)])
+    flow = stack([Flow(speed=0.3, direction=i % 6.28, turbulence="default", intensity=0.2, seed=i) for i in range(count)])
     return engines.at_rest(robot, pose), commands, p, flow, np.arange(count, dtype=np.int32)
 
 

@@ -116,7 +116,7 @@ def shoal(n=4):
         delay=rng.integers(5, 31, n).astype(np.int32),
     )
     state = engines.at_rest(ROBOT, rng.uniform(-1, 1, (n, 3)))
-    current = stack([Flow(speed=0.2, direction=s, turbulence="default", intensity=0.1, seed=s) for s in range(n)])
+    current = stack([Flow(speed=0.2, direction=s % 6.28, turbulence="default", intensity=0.1, seed=s) for s in range(n)])
     return state, rng.uniform(-1, 1, (n, 2 * TICKS, 3)), params, current, np.array([0, 7, 400, 1500])[:n]
 
 

@@ -28,7 +28,7 @@ from fishmj.water import flow as background
 from fishmj.water.flow import Current, Flow
 
 HEADINGS = ("upstream", "uniform")
-LIMITS: dict[str, tuple] = {"duration": (1, 600), "direction": ()}  # of `Trials`
+LIMITS: dict[str, tuple] = {"duration": (1, 600), "direction": background.TURN}  # of `Trials`
 LIMITS |= {key: (0, LARGEST[key]) for key in ("intensity", "randomisation", "noise")}
 MOST = 1000  # repeats of a condition
 SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on

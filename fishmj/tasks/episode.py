@@ -217,7 +217,7 @@ class TaskOptions(DrawOptions):
         super().__post_init__()
         if self.command_path is not None:
             checked_name("command path", self.command_path, COMMAND_PATHS)
-        bounds = {"control_dt": (0, LARGEST["seconds"]), "flow_direction": ()}
+        bounds = {"control_dt": (0, LARGEST["seconds"]), "flow_direction": flow.TURN}
         for name in (*bounds, *task.WEIGHTS):
             if getattr(self, name) is not None:
                 checked(f"task: {name}", getattr(self, name), *bounds.get(name, (0,)))

@@ -17,7 +17,7 @@ from fishmj.base.calib import read_toml
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.log.toml import dumps
-from fishmj.water.flow import LENGTH, Flow
+from fishmj.water.flow import LENGTH, TURN, Flow
 from fishmj.water.flow_map.turbulence_statistics import ValueInterval
 
 SCHEMA = "fishmj.flow_map/1"
@@ -197,7 +197,7 @@ def _setting(row: dict, where: str) -> Setting:
         speed=measured("speed", 0.0, 5.0),
         intensity=measured("intensity", 0.0, 1.0),
         length=measured("length", 1e-4, 100.0) if "length" in row else None,
-        direction=number("direction", -10.0, 10.0, 0.0),
+        direction=number("direction", *TURN, 0.0),
         method=str(row.get("method", "")),
         seconds=number("seconds", 0.0, inf, 0.0),
         independent=number("independent", 0.0, inf, 0.0),
