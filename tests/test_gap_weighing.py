@@ -1,5 +1,6 @@
 """A page of weighings as evidence: what only scales, an edge and a pendulum can tell."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ from test_gap import NULL, hidden, row_of
 from fishmj import effects
 from fishmj.base.errors import ConfigError
 from fishmj.gap import experiment
-from fishmj.gap.commands import find
+from fishmj.gap.commands import admission, find
 from fishmj.gap.experiment import ExperimentScore, Hypothesis
 from fishmj.gap.laboratory.virtual_robot import plant as robot
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import write_hidden
@@ -153,3 +154,18 @@ def test_gap_find_uses_the_weighing_page_beside_the_trials(tmp_path, monkeypatch
     find.search(SimpleNamespace(data=tmp_path / "data", **asked), load_robot("fish"), datasets.readable_trials(tmp_path / "data"))
     assert given["page"] == datasets.page_in(tmp_path / "data")
     assert len(datasets.trials_in(tmp_path / "data")) == 1 and datasets.page_in(tmp_path / "set.npz") == {}
+
+
+def test_a_number_that_a_page_lacks_is_named(plant):
+    with pytest.raises(ConfigError, match=r"\[pendulum\] apart is missing; expected one or more positive numbers in SI units"):
+        mass_properties.sensor({"pendulum": {"thread": 1.2, "period": [1.7]}}, plant)
+
+
+def test_a_current_that_no_trial_states_is_told():
+    trial = hidden({}, 5, RUNS[:1])[0]
+    told = "1 of 1 swims do not state their current, flow in meta.toml; taken for still water"
+    meta = {key: value for key, value in trial.meta.items() if key != "flow"}
+    assert admission.still_water([trial]) == [] and admission.still_water([replace(trial, meta=meta)]) == [told]
+    assert admission.still_water([replace(trial, meta=meta | {"flow": {"speed": 0.0, "known": False}})]) == [told]
+    assert admission.still_water([replace(trial, meta=meta | {"flow": {"speed": 0.1, "known": False}})]) == []
+    assert admission.still_water([replace(trial, meta=meta | {"medium": "air"})]) == []

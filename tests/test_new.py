@@ -88,6 +88,7 @@ def test_answers_are_asked_until_they_are_valid(monkeypatch, capsys):
     assert len(asked) == 11 and len(QUESTIONS) == 8
     assert np.cumsum([link.length for link in robot.links]).tolist() == pytest.approx([0.24, 0.30, 0.4, 0.6])
     assert "expected 0.05 to 5 m" in asked[2] and "unknown servo 'nothing'" in asked[10]
+    assert "Or state its data sheet with --stall-torque, --no-load-speed, --voltage" in asked[10]
     text = open("pike.toml").read()
     assert "length 0.6 m: asked" in text and "width 0.0726 m: default, not measured" in text
     assert "joints 0.24, 0.3, 0.4 m from the nose: asked" in text

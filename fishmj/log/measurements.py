@@ -41,7 +41,8 @@ def numbers(page: dict, table: str, key: str, path: "str | Path" = FILE) -> np.n
     value = page.get(table, {}).get(key)
     found = np.atleast_1d(np.array([np.nan] if value is None else value, float))
     if not np.all(np.isfinite(found)) or np.any(found <= 0):
-        raise ConfigError(f"{path}: [{table}] {key} = {value!r}; expected one or more positive numbers in SI units")
+        got = "is missing" if value is None else f"= {value!r}"
+        raise ConfigError(f"{path}: [{table}] {key} {got}; expected one or more positive numbers in SI units")
     return found
 
 

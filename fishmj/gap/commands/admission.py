@@ -74,6 +74,7 @@ def admitted(
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
     notes = (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose)
+    notes = (*notes, *still_water(given.trials.values()))
     breaches, doubts = unphysical(given.trials.values())
     notes = (*notes, *(breaches if anyway else ()), *doubts)
     for note in notes:
@@ -129,6 +130,14 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
             raise LogError(f"{differ}; name its own model with --model, or pass --same-robot if it is the same robot")
         return [f"{differ}: taken for the same robot"]
     return [f"{said['']} of {said.total()} trials name no robot; taken for {robot.name!r}"] if said[""] else []
+
+
+def still_water(trials: Iterable[Trial]) -> list[str]:
+    """Note on swims whose current is not stated: the model swims them in still water, and a current looks like an effect."""
+    swims = [t for t in trials if "pose" in t.tables and t.value("medium") != "air"]
+    speeds = [(t.value("flow.speed"), t.value("flow.known")) for t in swims]
+    unsaid = sum(speed is None or not speed and known is False for speed, known in speeds)
+    return [f"{unsaid} of {len(swims)} swims do not state their current, flow in meta.toml; taken for still water"] * bool(unsaid)
 
 
 def joints_of(trial: Trial) -> int:

@@ -89,7 +89,8 @@ def servo(text: str, _known: Known) -> DataSheet:
     if text.endswith(".toml"):
         return sheet_file(Path(text))
     if text.lower() not in SHELF:
-        raise argparse.ArgumentTypeError(str(UnknownName("servo", text[:40], [*SHELF, "FILE.toml"])))
+        unknown = UnknownName("servo", text[:40], [*SHELF, "FILE.toml"])
+        raise argparse.ArgumentTypeError(f"{unknown} Or state its data sheet with --stall-torque, --no-load-speed, --voltage")
     return SHELF[text.lower()]
 
 

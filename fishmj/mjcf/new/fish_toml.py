@@ -171,7 +171,7 @@ def _rig(rig: RigSpec) -> list[str]:
     )
     rows = lambda band: [list(row) for row in band] if band else None
     stated = (
-        ("bus", f'"{rig.bus}"', f"kind of servos: {' | '.join(BUSES)}"),
+        ("bus", f'"{rig.bus}"', f"kind of servos, check it: {' | '.join(BUSES)}"),
         ("baud", rig.baud, slow),
         ("servo_ids", list(rig.servo_ids or ()), "from the head to the tail; as you numbered them"),
         ("signs", list(rig.signs or ()), "-1 for a servo that turns the other way"),
