@@ -1,6 +1,6 @@
-"""DAgger near still water: a policy's own episodes in the flow solver's water, and a refit of the fitted water to them.
+"""DAgger near still water: episodes of policies in the flow solver's water, and a refit of the fitted water to them.
 
-    python -m studies.fitted_water.still_rounds solve POLICY --water W --seed 4300 --seconds 25 --out runs/one
+    python -m studies.fitted_water.still_rounds solve POLICY [POLICY ..] --water W --seed 4300 --seconds 25 --out runs/one
     python -m studies.fitted_water.still_rounds refit --water W --data REFERENCE EARLIER --rounds runs/one --out runs/water-1
     python -m studies.fitted_water.still_rounds drift --water W --rounds runs/one
 
@@ -39,12 +39,12 @@ FASTEST = 0.05  # m/s
 SETTLED, SWIM = 10.0, 4.0  # s of an episode that `drift` leaves out; of a piece
 
 
-def episodes(robot: Robot, policy: str, seed: int, seconds: float, slip: float) -> list[Segment]:
-    """Episodes of a policy in and near still water."""
-    plan = plans.on_policy(robot, policy, episodes=EPISODES, seconds=seconds, seed=seed, slip=slip)
+def episodes(robot: Robot, policies: list[str], seed: int, seconds: float, slip: float) -> list[Segment]:
+    """Episodes in and near still water, two of each policy in turn."""
+    drawn = [plans.on_policy(robot, policy, episodes=EPISODES, seconds=seconds, seed=seed, slip=slip) for policy in policies]
     made = []
-    for k, segment in enumerate(plan.segments):
-        rest = k % 2 == 0
+    for k in range(EPISODES):
+        rest, segment = k % 2 == 0, drawn[k // 2 % len(policies)].segments[k]
         flow = replace(segment.flow, speed=0.0 if rest else FASTEST * (k % 12) / 12)
         flow = replace(flow, turbulence="none") if rest else flow
         made.append(replace(segment, flow=flow, split="val" if k in VALIDATE else "train"))
@@ -54,8 +54,8 @@ def episodes(robot: Robot, policy: str, seed: int, seconds: float, slip: float) 
 def solve(given) -> int:
     """Swims the episodes in the fitted water and in the solver, and prints the mean returns of both."""
     robot, model = load_robot("fish"), HydroModel.load(given.water)
-    rolls = dagger.roll_outs(robot, model, episodes(robot, given.policy, given.seed, given.seconds, model.slip))
-    plan = dagger.round_plan(robot, given.policy, rolls, given.seed)
+    rolls = dagger.roll_outs(robot, model, episodes(robot, given.policies, given.seed, given.seconds, model.slip))
+    plan = dagger.round_plan(robot, ", ".join(given.policies), rolls, given.seed)
     if not given.middle:
         plan = replace(plan, segments=tuple(segment for segment, _ in rolls))
     devices, tank = devices_of(given.device), water_of_fit(model.dataset, model.slip)
@@ -104,7 +104,7 @@ def main(argv: list[str] | None = None) -> int:
         if function is not drift:
             verb.add_argument("--out", type=Path, required=True, help="data set, or folder of the water, to write")
     add = both[solve].add_argument
-    add("policy", help="name or file")
+    add("policies", nargs="+", metavar="POLICY", help="name or file")
     add("--seed", type=int, required=True, help="of the draws of the episodes")
     add("--seconds", type=float, default=30.0, help="of an episode (default: 30)")
     add("--middle", action="store_true", help="short segments from the fit's states, too")
