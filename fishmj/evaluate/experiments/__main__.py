@@ -53,7 +53,8 @@ def options() -> console.Parser:
     )
     add("--trained", type=console.path, metavar="DIR", help=trained)
     add("--seed", type=console.SEED, default=0, help="of all draws")
-    add("--out", type=console.out_folder, metavar="DIR", help="folder of rows and report.html")
+    folder = f"of rows and report.html; default {OUT}, with --quick {OUT}-quick"
+    add("--out", type=console.out_folder, metavar="DIR", help=folder)
     return parser
 
 
