@@ -73,8 +73,8 @@ def admitted(
     """
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
-    notes = (*given.notes, *(f"{name} left out: {why}" for name, why in given.broken.items()), *whose)
-    notes = (*notes, *still_water(given.trials.values()))
+    broken = (f"{name} left out: {why}" for name, why in given.broken.items())
+    notes = (*given.notes, *broken, *whose, *still_water(given.trials.values()))
     breaches, doubts = unphysical(given.trials.values())
     notes = (*notes, *(breaches if anyway else ()), *doubts)
     for note in notes:
