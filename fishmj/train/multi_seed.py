@@ -31,7 +31,7 @@ from fishmj.train.training_run import (
 def train_together(settings: Settings, seeds: list[int], folder: Path, command: str | None = None) -> list[dict]:
     """Trains one policy for each seed side by side; returns the summaries of `TrainingRun.go`; command as there."""
     settings = settled(settings)
-    env, learner, assess = learner_of(settings)
+    _, learner, assess = learner_of(settings)
     start = time.monotonic()
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
@@ -62,7 +62,7 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
                 judged = {k: np.asarray(v, float) for k, v in look(training.actor, jax.random.key(20_000)).items()}
                 for i, lane in enumerate(lanes):
                     figures = {k: round(float(v[i]), 5) for k, v in judged.items()}
-                    lane.judge(figures, training.actor, i, done, getattr(env, "own_reward", None) is not None)
+                    lane.judge(figures, training.actor, i, done)
     for i, lane in enumerate(lanes):
         lane.export("last", training.actor, i, done)
     seconds = time.monotonic() - start
@@ -79,10 +79,10 @@ class Lane:
         self.board = MetricsLog(folder)
         write_settings(settings, folder)
 
-    def judge(self, figures: dict, actors, i: int, done: int, own_reward: bool) -> None:
+    def judge(self, figures: dict, actors, i: int, done: int) -> None:
         """Records an assessment; keeps the actor, number i of the stacked ones, if it is the best so far."""
         self.board.write(done, {f"tune_{k}": v for k, v in figures.items()})
-        if is_better(figures, self.best, own_reward):
+        if is_better(figures, self.best):
             self.best = figures
             self.export("best", actors, i, done)
 

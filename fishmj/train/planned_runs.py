@@ -194,8 +194,6 @@ def sweep_table(runs: Sequence[PlannedRun], results: Sequence[dict]) -> dict:
     All figures are of the tuning flows (`tune_...` of the summaries), on which runs also chose their checkpoints: they rank
     points and judge none. The best is None as long as no point is complete.
     """
-    from fishmj.train.training_run import rank
-
     told = lambda r: {k.removeprefix("tune_"): v for k, v in r.items() if k.startswith("tune_")}
     rows: list[dict] = []
     points: dict[str, list[dict]] = {}
@@ -209,6 +207,8 @@ def sweep_table(runs: Sequence[PlannedRun], results: Sequence[dict]) -> dict:
         figures = {key: round(float(np.mean([f[key] for f in found])), 5) for key in found[0]} if complete else {}
         means.append({"point": point, "seeds": len(found), **figures})
     ranked = [mean for mean in means if len(mean) > 2]
-    own_reward = not runs[0].settings.reward  # a settled one has weights, unless the task brings a reward
-    best = max(ranked, key=lambda mean: rank(mean, own_reward)) if ranked else None
+    # points may differ in the weights of the reward, so their returns do not compare; a task's own reward has no weights
+    weighted = bool(runs[0].settings.reward)
+    rank = lambda mean: (min(0.99, mean["stayed"]), -mean["rmse_last10"]) if weighted else mean["return"]
+    best = max(ranked, key=rank) if ranked else None
     return {"rows": rows, "points": means, "best": best}

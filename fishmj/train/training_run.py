@@ -11,7 +11,7 @@ import shlex
 import signal
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -357,7 +357,7 @@ class TrainingRun:
         figures = self.assess(actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
         self._raise_failure(getattr(self.assess, "env", None))
-        better = is_better(figures, self.best, getattr(self.env, "own_reward", None) is not None)
+        better = is_better(figures, self.best)
         self.best = figures if better else self.best
         return {f"tune_{k}": v for k, v in figures.items()}, better
 
@@ -477,17 +477,12 @@ def go_on(folder: Path, done: int, settings: Settings, devices: int = 1) -> str:
     return f"{folder} holds the run up to step {done:,}; go on with: {command}"
 
 
-def is_better(figures: dict, best: dict | None, own_reward: bool = False) -> bool:
-    """Returns True if an assessment beats the best so far: first by staying in the tank (99 % is enough), then by distance.
+def is_better(figures: dict, best: dict | None) -> bool:
+    """Returns True if an assessment's mean return is at least that of the best so far.
 
-    Under a reward of the task's own only the return counts.
+    Not the share of fish that stay in the tank: of 1,024 it has a standard error of 0.4 %, more than half a training changes.
     """
-    return best is None or rank(figures, own_reward) >= rank(best, own_reward)
-
-
-def rank(figures: Mapping[str, float], own_reward: bool = False) -> tuple[float, ...]:
-    """Figures of an assessment by which `is_better` compares, greater is better."""
-    return (figures["return"],) if own_reward else (min(0.99, figures["stayed"]), -figures["rmse_last10"])
+    return best is None or figures["return"] >= best["return"]
 
 
 def learner_of(settings: Settings, devices: int = 1):

@@ -1,0 +1,170 @@
+"""Judgement of the leading policy in every water and with every robot of its pages: `python -m studies.judged_waters`.
+
+    python -m studies.judged_waters POLICY                   each condition, 24 trials; those of runs/judged_waters are done
+    python -m studies.judged_waters POLICY --shard 0/2       every second condition, on the first of two GPUs
+    python -m studies.judged_waters --list                   names, commands and seconds of one H200
+    python -m studies.judged_waters --write                  what is done, as rows of `station-family` in place of all earlier
+
+A condition is one `fishmj evaluate station-family --water lbm ..`; its rows go to a table of studies/*/rows. *synthetic*
+"""
+
+import argparse
+import csv
+import re
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+from fishmj.base import console
+from fishmj.base.errors import ConfigError
+from fishmj.base.store import write_text
+from fishmj.evaluate.__main__ import main as evaluate
+
+HERE = Path(__file__).resolve().parent
+FISH = HERE.parent / "data" / "calib" / "fish.toml"
+OUT = Path("runs") / "judged_waters"
+NAME = "station-family"
+TRIALS = ("--water", "lbm", "--tanks", "24", "--repeats", "1", "--device", "cuda")
+OTHERS, REFERENCE, PLAIN, STILL = (
+    HERE / folder / "rows" / f"{name}.csv"
+    for folder, name in (
+        ("training", "judged_station_family"),
+        ("solver", "judged_reference"),
+        ("solver", "judged_trials"),
+        ("training", "still_at_target"),
+    )
+)
+
+
+class Condition(NamedTuple):
+    """One judgement: its water in the rows, options of `fishmj evaluate`, seconds of one H200, changes of fish.toml, tables."""
+
+    water: str
+    options: str
+    seconds: int
+    changes: tuple[tuple[str, str], ...] = ()
+    tables: tuple[Path, ...] = (OTHERS,)
+    seed: int = 9
+
+
+def mass(kg: float) -> tuple[tuple[str, str], ...]:
+    """Change of fish.toml: so much mass more (kg), spread over the body."""
+    return ((r"\Z", f'\n[[effect]]\nname = "body_mass"\nparameters = {{ mass = {kg} }}\n'),)
+
+
+SHORTER = (  # the tail's length, and what is measured from its front
+    (r'(name = "tail"\nlength = )0\.18', r"\g<1>0.162"),
+    (r"com = \[0\.07193,", "com = [0.064737,"),
+    (r"fin_from = 0\.054", "fin_from = 0.0486"),
+    (
+        r"\[0\.054, (.*)\], \[0\.060, (.*)\], \[0\.096, (.*)\], \[0\.148, (.*)\], \[0\.18, 0\.120, 0\.001\]",
+        r"[0.0486, \1], [0.054, \2], [0.0864, \3], [0.1332, \4], [0.162, 0.120, 0.001]",
+    ),
+)
+REST = "--speeds 0,0.02,0.04"
+CONDITIONS = {
+    "reference": Condition("reference-2", "--reference", 104, tables=(REFERENCE,)),
+    "rest": Condition("reference-2, 0 to 0.04 m/s", f"--reference {REST}", 124),
+    "slip-1": Condition("paper slip 1", "--slip 1", 61, tables=(OTHERS, PLAIN)),
+    "slip-1-rest": Condition("paper slip 1, 0 to 0.04 m/s", f"--slip 1 {REST}", 65),
+    "slip-0.97": Condition("paper slip 0.97", "--slip 0.97", 61),
+    "slip-0.97-10": Condition("paper slip 0.97", "--slip 0.97", 61, seed=10),
+    "cells-1.5": Condition("paper 1.5 cm slip 0.985", "--dx 0.015 --slip 0.985", 162),
+    "window-0.995": Condition("window slip 0.995", "--domain window --slip 0.995", 100),
+    "window-0.985": Condition("window slip 0.985", "--domain window --slip 0.985", 100),
+    "late": Condition(
+        "reference-2, commands 85 ms later", "--reference", 110, ((r"command_latency = 0\.060", "command_latency = 0.145"),)
+    ),
+    "gusts": Condition("reference-2, gusts of 25 %", "--reference --turbulence gust --intensity 0.25", 110),
+    "heavy": Condition("reference-2, mass 20 % more", "--reference", 105, mass(0.22)),
+    "light": Condition("reference-2, mass 20 % less", "--reference", 105, mass(-0.22)),
+    "weak": Condition("reference-2, servo gains 20 % less", "--reference", 105, ((r"\nkp = 8\.0", "\nkp = 6.4"),)),
+    "tail": Condition("reference-2, tail 10 % shorter", "--reference", 105, SHORTER),
+    "fast": Condition("reference-2, 0.35 and 0.4 m/s", "--reference --speeds 0.35,0.4", 90),
+    "reference-10": Condition("reference-2", "--reference", 104, seed=10),
+    "reference-11": Condition("reference-2", "--reference", 104, seed=11),
+    "at-target": Condition(
+        "reference-2", "--reference --task angle_of_attack --speeds 0 --repeats 2", 60, tables=(STILL,)
+    ),
+    "reference-3": Condition("reference-3", "--reference reference-3", 200, tables=(REFERENCE,)),
+    "low-reynolds": Condition("low-reynolds", "--reference low-reynolds", 600, tables=(REFERENCE,)),
+}  # fmt: skip
+
+
+def robot_of(name: str) -> list[str]:
+    """Options that name the robot of a condition, whose file is written.
+
+    Raises:
+        ConfigError: fish.toml no longer has what the condition changes.
+    """
+    if not CONDITIONS[name].changes:
+        return []
+    text, path = FISH.read_text(encoding="utf-8"), OUT / f"{name}.toml"
+    for pattern, new in CONDITIONS[name].changes:
+        text, count = re.subn(pattern, new, text)
+        if count != 1:
+            raise ConfigError(f"{FISH.name}: {pattern!r} found {count} times, expected once; adapt condition {name!r}")
+    write_text(path, text)
+    return ["--robot", str(path)]
+
+
+def command(policy: str, name: str) -> list[str]:
+    """Arguments of `fishmj evaluate` for a condition."""
+    made = CONDITIONS[name]
+    options = [*TRIALS, "--seed", str(made.seed), *shlex.split(made.options)]
+    return [policy, *options, *robot_of(name), "--out", str(OUT / name)]
+
+
+def is_done(name: str) -> bool:
+    """Returns True where all trials of a condition are judged."""
+    return (OUT / name / "results.json").exists()
+
+
+def rows_of(name: str) -> list[dict[str, str]]:
+    """Trials of a condition as rows of the tables."""
+    with (OUT / name / "trials.csv").open(encoding="utf-8") as file:
+        return [row | {"water": CONDITIONS[name].water, "controller": NAME} for row in csv.DictReader(file)]
+
+
+def write() -> list[str]:
+    """Replaces all rows of `NAME` by those of the done conditions; returns the names of the others."""
+    done = [name for name in CONDITIONS if is_done(name)]
+    for table in (OTHERS, REFERENCE, PLAIN, STILL):
+        lines = table.read_text(encoding="utf-8").splitlines()
+        keys = lines[0].split(",")
+        kept = [line for line in lines[1:] if dict(zip(keys, next(csv.reader([line])), strict=True))["controller"] != NAME]
+        new = [row for name in done if table in CONDITIONS[name].tables for row in rows_of(name)]
+        text = lambda value: f'"{value}"' if "," in value else value
+        made = [",".join(text(row[key]) for key in keys) for row in new]
+        write_text(table, "\n".join([lines[0], *kept, *made]) + "\n")
+        console.say(f"{table.relative_to(HERE.parent)}: {len(made)} rows")
+    return [name for name in CONDITIONS if name not in done]
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("policy", nargs="?", default=NAME, help=f"name, file or folder of a training (default: {NAME})")
+    add("--only", nargs="+", choices=CONDITIONS, metavar="NAME", help="these conditions (default: all)")
+    add("--shard", default="0/1", metavar="K/N", help="every Nth condition, beginning with number K (default: 0/1)")
+    add("--list", action="store_true", help="print conditions and commands, and judge none (default: judge)")
+    add("--write", action="store_true", help="write rows of what is done, and judge none (default: judge)")
+    given = parser.parse_args(argv)
+    k, n = (int(number) for number in given.shard.split("/"))
+    mine = (given.only or list(CONDITIONS))[k::n]
+    if given.list:
+        rows = [{"name": x, "seconds": CONDITIONS[x].seconds, "command": shlex.join(command(given.policy, x))} for x in mine]
+        console.say(console.table(rows))
+        return console.OK
+    if given.write:
+        missing = write()
+        console.say(f"not judged: {' '.join(missing)}" if missing else "all are judged")
+        return console.OK
+    for name in mine:
+        if not is_done(name) and (code := evaluate(command(given.policy, name))):
+            return code
+    return console.OK
+
+
+if __name__ == "__main__":
+    raise SystemExit(console.run(main))
