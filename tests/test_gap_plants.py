@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from fishmj import effects
+from fishmj.base.calib import read_toml, resolve
+from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects.__main__ import enters
+from fishmj.gap.commands import plant
 from fishmj.gap.measured import planar_body as bodies
 from fishmj.gap.measured import servo_model as servos
 from fishmj.gap.measured.decoy_terms import RIVALS
@@ -13,8 +16,9 @@ from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody, covered
 from fishmj.gap.measured.servo_model import OneServo, Pendulum, PendulumLog, ServoMotor
 from fishmj.gap.measured.study import Fold, Study, investigate
 from fishmj.gap.measured.study_answer import answer
-from fishmj.gap.models.swimming_fish import Constant
+from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
 from fishmj.gap.records.records import ResidualLayout, Sensor
+from fishmj.mjcf.reading import robot_from_dict
 
 HULL = Hull(0.7, 2.7e-3, 0.0, 0.0, 0.0, thrust=0.1, torque=0.005, drag=0.3, sway_drag=0.0, yaw_drag=0.005)
 HEAVY = HULL._replace(surge_added=0.2, sway_added=0.6, yaw_added=1e-3)
@@ -254,3 +258,23 @@ def test_planted_friction_is_named_across_gains(bench):
     verdict = answer(study, investigate(study, most=1))
     assert verdict.answer == "NAMED" and verdict.effects[0].name == "load_friction", verdict.text()
     assert verdict.effects[0].parameters["ratio"].value == pytest.approx(0.25, rel=0.1)
+
+
+def test_a_fish_of_two_joints_has_no_zero_of_a_third():
+    model = SwimmingFish("tendon_fish", [effects.get("joint_zero_offset")])
+    assert model.active.names == [("joint_zero_offset", f"offset{k}") for k in (1, 2)]
+    with pytest.raises(UnknownName, match=r"of a robot with 2 joints 'offset3'.*Known: offset1, offset2\."):
+        model.index("joint_zero_offset", "offset3")
+    assert SwimmingFish("fish", [effects.get("joint_zero_offset")]).index("joint_zero_offset", "offset3") == len(model.nothing)
+    table = read_toml(resolve("tendon_fish"))
+    table["effect"] = [{"name": "joint_zero_offset", "parameters": {"offset3": {"value": 0.05}}}]
+    with pytest.raises(ConfigError, match="offset3.*Known: offset1, offset2"):
+        robot_from_dict(table, "mine.toml")
+
+
+def test_no_zero_of_a_joint_that_is_not_there_is_planted():
+    values = {"joint_zero_offset": {f"offset{k}": 0.05 for k in (1, 2, 3)}, "servo_gain": {"gain": 0.9}}
+    assert list(plant.on_joints(values, ["random"], 2)["joint_zero_offset"]) == ["offset1", "offset2"]
+    assert plant.on_joints(values, ["random"], 3) == values
+    with pytest.raises(ConfigError, match="offset3 is of joint 3, the robot has 2; leave it out"):
+        plant.on_joints(values, ["joint_zero_offset:offset1=0.05,offset3=0.05"], 2)

@@ -6,7 +6,7 @@ compiled form, JAX, the beat-averaged body and the servo on a bench.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from fishmj.base.errors import ConfigError, UnknownName
@@ -39,6 +39,7 @@ class Parameter:
     by domain randomisation; a signed parameter may lie on either side of its null, mirrored there.
     shape: the parameter shapes the effect but does not cause it: while the others are at their null, any value is the identity.
     fine: only a value within a fraction of a per cent explains anything, so a search must try many.
+    joint: the joint, from 1, that it belongs to; 0: it belongs to no single one.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Parameter:
     about: str = ""
     shape: bool = False
     fine: bool = False
+    joint: int = 0
 
     def __post_init__(self):
         if self.name == "joint":
@@ -212,6 +214,14 @@ class Effect:
     def remembering(self) -> tuple[str, ...]:
         """Sites that take memory."""
         return tuple(s for s in self.sites if s in ("servo", "gear", "body", "water", "command"))
+
+    def on_joints(self, joints: int) -> "Effect":
+        """The effect without the parameters of joints that a robot with `joints` joints does not have."""
+        gone = {p.name for p in self.parameters if p.joint > joints}
+        if not gone:
+            return self
+        kept = tuple(p for p in self.parameters if p.name not in gone)
+        return replace(self, parameters=kept, handed=tuple(name for name in self.handed if name not in gone))
 
     def parameter(self, name: str) -> Parameter:
         """One parameter by name. Raises UnknownName."""

@@ -89,8 +89,8 @@ def fitted(active: EffectStack, row, low=None, high=None, provenance: str = "", 
     return tuple(FittedEffect(e.name, named(e), provenance, hash) for e in active.effects)
 
 
-def block_of(block: dict, where: str) -> FittedEffect:
-    """One block [[effect]]; raises as `read`."""
+def block_of(block: dict, where: str, joints: int | None = None) -> FittedEffect:
+    """One block [[effect]], if `joints` is given of a fish with that many; raises as `read`."""
     for key in block:
         if key not in KEYS:
             raise ConfigError(f"{where}: {UnknownName('key', key, KEYS)}")
@@ -99,6 +99,7 @@ def block_of(block: dict, where: str) -> FittedEffect:
     except UnknownName as error:
         raise ConfigError(f"{where}: {error}") from error
     where = f"{where} {effect.name}"
+    effect = effect if joints is None else effect.on_joints(joints)
     given = block.get("parameters", {})
     if not isinstance(given, dict):
         raise ConfigError(f"{where}: parameters must be a table of name = {{ value, low, high }}, got {str(given)[:80]}")

@@ -15,6 +15,7 @@ scatter of replicates, so no site of the physics holds them.
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+from fishmj.base.errors import UnknownName
 from fishmj.effects.effect import Effect
 from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
 
@@ -31,7 +32,7 @@ class Slot(NamedTuple):
 
 
 class EffectStack:
-    """An ordered set of effects for a fish with `joints` joints.
+    """An ordered set of effects for a fish with `joints` joints, without parameters of joints that it does not have.
 
     Attributes:
         names: (effect, parameter) of every entry of the flat parameter list. null: their null values.
@@ -39,7 +40,7 @@ class EffectStack:
     """
 
     def __init__(self, effects, joints: int):
-        self.effects: tuple[Effect, ...] = tuple(effects)
+        self.effects: tuple[Effect, ...] = tuple(effect.on_joints(joints) for effect in effects)
         self.joints = joints
         self.names, self.null, memory, slots = [], [], [0.0] * BASE, []
         for effect in self.effects:
@@ -52,7 +53,10 @@ class EffectStack:
         self.order = tuple(sorted(slots, key=lambda slot: slot.effect.rank))  # in which they act at a site
 
     def index(self, effect: str, parameter: str) -> int:
-        """Place of a parameter in the flat list."""
+        """Place of a parameter in the flat list. Raises UnknownName."""
+        if (effect, parameter) not in self.names:
+            known = [own for name, own in self.names if name == effect]
+            raise UnknownName(f"parameter of {effect} of a robot with {self.joints} joints", parameter, known)
         return self.names.index((effect, parameter))
 
     def flat(self, values: dict[str, dict[str, float]]) -> list[float]:

@@ -50,7 +50,7 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[KeyF
     if ("water", None) not in bad:
         yield from _water(table.get("water", {}), len(links) if whole else None)
     if ("effect", None) not in bad:
-        yield from _effects(table.get("effect", []))
+        yield from _effects(table.get("effect", []), len(links) - 1 if whole and listed else None)
     version = table.get("version", {})
     kept = version.get("parent_text", "") if ("version", None) not in bad else ""
     if kept and not names.is_name(kept):
@@ -329,7 +329,7 @@ _WATER = "'structured', 'fitted', or a fitted water by name or .toml file"
 _PATH = "a path counts from the folder in which the command runs"
 
 
-def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
+def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None) -> Iterator[KeyFault]:
     """Errors from the catalogue's own checks; the catalogue is loaded only for a fish that has effects."""
     if not blocks:
         return
@@ -344,7 +344,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]]) -> Iterator[KeyFault]:
             yield KeyFault("effect", i, "name", shown(block["name"]), expected, "docs/simulate/effects.md lists them all")
             continue
         try:
-            effect_calibration.block_of(dict(block), "")
+            effect_calibration.block_of(dict(block), "", n_joints)
         except FishmjError as error:
             yield KeyFault("effect", i, "", " ".join(str(error).split()).strip(": "), "")
         if block["name"] in names[:i]:

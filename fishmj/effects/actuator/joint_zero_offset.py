@@ -39,8 +39,11 @@ EFFECT = Effect(
     about="a servo horn one tooth off: the fish is bent while its encoders say straight, so it turns",
     formula="hinge angle = encoder angle + o",
     source="paper randomises +-5 deg; open hardware's centre counts are 2.4 to 4.8 deg off",
-    parameters=tuple(Parameter(name=name, unit="rad", low=-0.2, high=0.2, typical=(0.02, 0.087)) for name in OFFSETS),
-    handed=("offset1", "offset2", "offset3"),
+    parameters=tuple(
+        Parameter(name=name, unit="rad", low=-0.2, high=0.2, typical=(0.02, 0.087), joint=joint)
+        for joint, name in enumerate(OFFSETS, 1)
+    ),
+    handed=OFFSETS,
     shows=("position", "heading"),
     native="joint ref",
     confusions=(

@@ -106,7 +106,7 @@ def main(argv: list[str]) -> int:
     names = list(given.trials) if given else [trial_name(i, run) for i, run in enumerate(experiments(args))]
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)
-    hidden = understood(args)
+    hidden = on_joints(understood(args), args.effect, joints_of(args, given))
     with progress.terminal_bar(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
         made, facts = make(hidden, args, bar.update, given)
@@ -133,6 +133,26 @@ def understood(args) -> dict[str, dict[str, float]]:
     if args.generator in generators.NAMES:
         return generators.parse(texts, args.seed, args.generator)
     return hidden_dataset.parse(texts, args.seed, limits)
+
+
+def joints_of(args, given: Taken | None) -> int:
+    """Number of the robot's joints; of logs, the least that one has, at least 1."""
+    if given is not None:
+        return max(1, min(map(admission.joints_of, given.trials.values()), default=1))
+    return load_robot(args.model).n_joints
+
+
+def on_joints(hidden: dict, texts: list[str], joints: int) -> dict[str, dict[str, float]]:
+    """The values to hide, without those of joints that the robot does not have. Raises ConfigError if such a one is asked for."""
+    asked, out = {(part.name, key) for part in map(split_text, texts) for key, _ in part.listed or ()}, {}
+    for name, values in hidden.items():
+        own = effects.catalogue().get(name)
+        gone = [p for p in own.parameters if p.joint > joints] if own else []
+        for p in gone:
+            if (name, p.name) in asked:
+                raise ConfigError(f"gap plant {name}: {p.name} is of joint {p.joint}, the robot has {joints}; leave it out")
+        out[name] = {key: value for key, value in values.items() if key not in {p.name for p in gone}}
+    return out
 
 
 def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
@@ -249,7 +269,7 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
                 f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
             )
         effect = able[name]
-        active = EffectStack([effect], 1)
+        active = EffectStack([effect], excitation.JOINTS)
         row = np.array(active.null) if main or listed is not None else draw(active, 1, rng)[0]
         for key, value in [(effect.parameters[0].name, main)] if main else listed or ():
             row[active.index(name, effect.parameter(key).name)] = _number(text, value, effect.parameter(key))
