@@ -23,6 +23,7 @@ from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.workflow import investigate
+from fishmj.log import measurements
 from fishmj.mjcf.reading import load_robot
 
 RUNS = ("gait", "turn_left", "burst_and_coast")
@@ -169,3 +170,24 @@ def test_a_current_that_no_trial_states_is_told():
     assert admission.still_water([replace(trial, meta=meta | {"flow": {"speed": 0.0, "known": False}})]) == [told]
     assert admission.still_water([replace(trial, meta=meta | {"flow": {"speed": 0.1, "known": False}})]) == []
     assert admission.still_water([replace(trial, meta=meta | {"medium": "air"})]) == []
+
+
+@pytest.mark.parametrize(
+    ("table", "values", "told"),
+    [
+        (
+            "scales",
+            {"whole": [1100]},
+            r"\[scales\] add up to 1100 kg; expected about the 1.\d+ kg of the description; are these g\?",
+        ),
+        ("scales", {"whole": ["1,1"]}, r"\[scales\] whole = \['1,1'\]; expected one or more positive numbers in SI units"),
+        ("balance", {"at": [184.0]}, r"\[balance\] at is 184 m from the nose; expected a place on the straight fish"),
+        ("pendulum", {"thread": 1.2, "apart": 0.3, "period": [1700.0]}, r"\[pendulum\] gives a radius of gyration of \d+ m"),
+    ],
+)
+def test_a_weighing_in_another_unit_is_refused_before_the_trials_are_read(tmp_path, plant, table, values, told):
+    whole = {key: dict(page({}, 3)[key]) for key in ("scales", "balance", "pendulum")}
+    mass_properties.check_page(whole, plant.robot)
+    measurements.write(tmp_path, whole | {table: values})
+    with pytest.raises(ConfigError, match=told):
+        admission.admitted(tmp_path, plant.robot, "fish", False)

@@ -159,7 +159,7 @@ def _moments(robot: Robot) -> tuple[float, float]:
 def summary(page: dict, robot: Robot) -> list[dict]:
     """Rows that compare the page with the description."""
     names = [link.name for link in robot.links]
-    mass = float(sum(measurements.masses(page, names if names[0] in page["scales"] else ["whole"])[0]))
+    mass = float(sum(measurements.masses(page, measurements.weighed_parts(page, names))[0]))
     rows = [
         {"measured": "mass, kg", "value": mass, "described": float(geometry_of(robot).mass.sum())},
         {"measured": "balance from the nose, m", "value": measurements.balance(page, EDGE)[0], "described": middle_of(robot)},

@@ -19,11 +19,10 @@ from scipy.stats import t as student
 from fishmj.base.calib import read_toml
 from fishmj.base.errors import ConfigError
 from fishmj.gap.calibrate.parameter_fit import NORMAL, ParameterEstimate
+from fishmj.gap.records.mass_properties import check_page
 from fishmj.log import measurements
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
-
-HEAVY = 10.0  # times the described mass; more is another unit
 
 
 class MassEstimates(NamedTuple):
@@ -36,7 +35,7 @@ class MassEstimates(NamedTuple):
 def calibrate(folder: "str | Path", robot: Robot) -> MassEstimates:
     """Reads the page and computes the masses.
 
-    Raises ConfigError: the page is missing, lacks a table or a link, a number is not positive, or the masses are in g.
+    Raises ConfigError: the page is missing, lacks a table or a link, a number is not positive, or is in another unit.
     """
     path = Path(folder) / measurements.FILE
     if not path.is_file():
@@ -46,12 +45,7 @@ def calibrate(folder: "str | Path", robot: Robot) -> MassEstimates:
         )
     page = read_toml(path)
     masses, mass_sd = measurements.masses(page, [link.name for link in robot.links], path)
-    described_kg = float(geometry_of(robot).mass.sum())
-    if masses.sum() > HEAVY * described_kg:
-        raise ConfigError(
-            f"{path}: [scales] add up to {masses.sum():.4g} kg, {robot.name} is described with {described_kg:.3g} kg; "
-            "are these g? Write kg"
-        )
+    check_page(page, robot, path)
     total, (com, com_sd) = float(masses.sum()), measurements.balance(page, 0.0, path)
     inertia, scatter = measurements.inertia(page, total, path)
     inertia_sd = inertia * sqrt(scatter**2 + (mass_sd / total) ** 2)

@@ -30,11 +30,11 @@ from fishmj.base.errors import ConfigError, FishmjError, LogError
 from fishmj.base.names import strips_of
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
-from fishmj.gap.records import datasets
+from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import Record, record_of
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.wording import title
-from fishmj.log import Trial, physical_checks
+from fishmj.log import Trial, measurements, physical_checks
 from fishmj.log.dataset import Taken
 from fishmj.log.excitation import PERIOD
 from fishmj.mjcf.description import Robot
@@ -69,8 +69,9 @@ def admitted(
         agreed: accept logs of another name or body. anyway: accept physically impossible motion.
 
     Raises LogError: no trial, another number of joints, another robot's name or body without agreement, or impossible motion (a
-    mirrored camera, a joint against its command).
+    mirrored camera, a joint against its command); ConfigError: weighings in another unit.
     """
+    mass_properties.check_page(datasets.page_in(data), robot, data / measurements.FILE)
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
     broken = (f"{name} left out: {why}" for name, why in given.broken.items())

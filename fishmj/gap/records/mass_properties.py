@@ -9,11 +9,14 @@ An effect on a weighing is the definition of mass and no formula of the water, s
 """
 
 from math import sqrt
+from pathlib import Path
 
 import numpy as np
 
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import measurements
+from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import geometry_of
 from fishmj.water.dynamics.hooks import Effects
 
 CHANNEL = "weighing"
@@ -34,8 +37,7 @@ def sensor(page: dict, model, known: bool = True) -> Sensor | None:
     mass, error = float(predicted(model, model.null)[0, 0]), SCALES
     values, sigma = np.full(3, np.nan), np.full(3, np.nan)
     if "scales" in page:
-        links = ("whole",) if "whole" in page["scales"] else [link.name for link in model.robot.links]
-        each, scatter = measurements.masses(page, links)
+        each, scatter = measurements.masses(page, measurements.weighed_parts(page, (link.name for link in model.robot.links)))
         values[0] = mass = float(each.sum())
         sigma[0] = max(scatter, SCALES * mass)
         error = float(sigma[0]) / mass
@@ -47,6 +49,12 @@ def sensor(page: dict, model, known: bool = True) -> Sensor | None:
         values[2], scatter = measurements.inertia(page, mass)
         sigma[2] = values[2] * sqrt(max(scatter, PENDULUM) ** 2 + error**2)
     return Sensor(np.zeros(1), values[None], sigma)
+
+
+def check_page(page: dict, robot: Robot, path: "str | Path" = measurements.FILE) -> None:
+    """Raises ConfigError: a weighing of the page is in another unit, or invalid."""
+    mass, length = float(geometry_of(robot).mass.sum()), sum(link.length for link in robot.links)
+    measurements.check_units(page, (link.name for link in robot.links), mass, length, path)
 
 
 def separation(model, one: np.ndarray, other: np.ndarray) -> float:
