@@ -13,7 +13,7 @@ from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.commands import open_logs
 from fishmj.gap.commands.admission import admitted, unphysical
 from fishmj.gap.records.datasets import readable_trials
-from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, write_dataset, write_trial
+from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, unread_rows, write_dataset, write_trial
 from fishmj.log.__main__ import main as log
 from fishmj.log.dataset import read_bundle
 from fishmj.log.trial_check import Plausible
@@ -405,3 +405,31 @@ def test_doubts_about_a_log_are_printed_and_refuse_no_comparison(tmp_path, capsy
     assert "or a current carries it" in capsys.readouterr().err
     logs = open_logs(Namespace(data=data, model="fish", same_robot=False), load_robot("fish"))
     assert "or a current carries it" in capsys.readouterr().err and any("trial a: pose" in note for note in logs.notes)
+
+
+@pytest.mark.parametrize("low", [0.0, -np.pi / 2])
+@pytest.mark.parametrize("rate", [0.0, 0.4])
+def test_a_heading_folded_into_half_a_turn_is_an_axis(low, rate):
+    """It lost its rows as those of a fish that was out of sight, or was called a tail taken for the head."""
+    swims = changed(turning(20.0, rate), "pose", yaw=lambda v: v - 2.0 + low)
+    assert not len(unread_rows.folds(swims.tables["pose"]))
+    axis = changed(swims, "pose", yaw=lambda v: low + (v - low) % np.pi)
+    assert physical_checks.without_failed_reads(axis)[1] == []
+    assert levels(axis)["heading"] == physical_checks.IMPORT and "it is an axis, folded into 180 deg" in names(axis)["heading"]
+    assert "lost pose" not in names(axis)
+
+
+def test_a_heading_that_turns_back_at_half_a_turn_is_told():
+    """As by an arc cosine or an arc sine, which know no direction across their axis."""
+    for fold, edges in ((np.arccos, np.cos), "at 0 and 180 deg"), ((np.arcsin, np.sin), "at -90 and 90 deg"):
+        bad = changed(turning(30.0, 0.3), "pose", yaw=lambda v, f=fold: f[0](f[1](v)))
+        assert (
+            levels(bad)["heading"] == physical_checks.IMPORT
+            and f"turns back where the course goes on, {edges}" in names(bad)["heading"]
+        )
+
+
+def test_a_tail_taken_for_the_head_is_no_folded_heading():
+    t = turning().tables["pose"]["t"]
+    flipped = changed(turning(), "pose", yaw=lambda v: np.where(t > 6.0, v - np.pi, v))
+    assert "did the tracker take the tail for the head" in names(flipped)["lost pose"] and "heading" not in names(flipped)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj.log.trial import Table, Trial, stacked
 from fishmj.log.trial_check import Plausible
-from fishmj.log.unread_rows import is_sound
+from fishmj.log.unread_rows import folds, is_sound
 
 IMPORT, USE, NOTE = "import", "use", "note"  # a finding refuses: the import and all after it; gap find and calibrate; nothing
 LONGEST = 3600.0  # s of a trial that are looked at
@@ -37,6 +37,15 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     """Findings on course over ground against yaw: clockwise, offset, in degrees, of another body."""
     pose = trial.tables.get("pose", {})
     if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20 and bounds.course < pi:
+        if len(rows := folds(pose)):
+            yield (
+                IMPORT,
+                f"pose: yaw jumps from one edge of half a turn to the other, {len(rows)} times, first at"
+                f" t = {pose['t'][rows[0]]:.3f} s: it is an axis, folded into 180 deg, as of an image's moments; expected the"
+                " direction of the nose in a full turn. Unfold the column (numpy.unwrap with a period of half a turn), and add half"
+                " a turn if it then points to the tail",
+            )
+            return
         t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
         spin = float(np.quantile(np.abs(np.interp(t + NOD, t, yaw) - yaw), 0.9)) / NOD
         if spin > SPIN:
@@ -72,6 +81,17 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             )
             yield IMPORT, text
             return
+        around = np.angle(np.exp(1j * course))
+        for low, folded in ((0, np.abs(around)), (-90, np.arcsin(np.sin(around)))):
+            alike, back = _relation(folded - yaw), float(np.mean(np.cos(folded - around) < 0.9))
+            clear = alike[1] < min(CLEAR, off[1] / 3, float(np.std(folded)) / 3) and 1 - MOSTLY < back < MOSTLY
+            if clear and abs(alike[0]) < bounds.course < pi:
+                text = (
+                    f"pose: yaw turns back where the course goes on, at {low} and {low + 180} deg: it is folded into half a turn,"
+                    " as by an arc cosine; expected a full turn. Compute it anew, with atan2 of both components"
+                )
+                yield IMPORT, text
+                return
     ahead = _swims_ahead(trial, begin)
     if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned and bounds.course < pi:
         text = (

@@ -14,7 +14,7 @@ command) passes.
     joint sign      a joint that runs against its command at every plausible delay
     joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
-    heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body
+    heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body; folded
     handedness      the head recoils against the tail's swing, at its beat; a picture in a mirror shows it swing along
     wave            the body wave of a fish that swims ahead runs to its tail
 """
@@ -46,7 +46,7 @@ from fishmj.log.course import (
 )
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
-from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, fresh_rows, is_logged, is_sound, joints, lost_poses, speeds
+from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, folds, fresh_rows, is_logged, is_sound, joints, lost_poses, speeds
 
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
 WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
@@ -132,7 +132,7 @@ def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     t, yaw = (np.asarray(pose[name], float)[~lost] for name in ("t", "yaw"))
     turn = np.abs(np.angle(np.exp(1j * np.diff(yaw))))
     rows = np.flatnonzero((turn > 1.5) & (turn > bounds.rate * np.diff(t)))
-    if 0 < len(rows) < max(4, len(t) / 50):
+    if not len(folds(pose)) and 0 < len(rows) < max(4, len(t) / 50):
         yield (
             USE,
             f"pose: yaw jumps by {np.degrees(turn[rows[0]]):.0f} deg at t = {t[rows[0] + 1]:.3f} s ({len(rows)} such rows) and"

@@ -15,6 +15,7 @@ LOST = 1.0  # s of a pose that is elsewhere and comes back, at most
 REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
 LONG = 5  # usual runs, which are a rest
 SINGLE, TOGETHER = 0.6, 0.75  # of irregular frames: largest share of runs of one row; of rows that change, to those by chance
+HALF, FOLD, LEVEL = np.pi + 1e-3, 2.4, 0.05  # rad: of a folded heading the most span, the least jump, and the least usual step
 LEAP = {"x": 0.05, "y": 0.05, "yaw": 0.5}  # m, m, rad: least jump of a lost pose
 
 
@@ -32,7 +33,7 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
     last longer, and begin or end the table.
     """
     none = np.zeros(len(np.atleast_1d(next(iter(table.values()), ()))), bool)
-    if not is_sound(table, ["t", "x", "y", "yaw"]) or len(none) < 12:
+    if not is_sound(table, ["t", "x", "y", "yaw"]) or len(none) < 12 or len(folds(table)):
         return none, []
     t = np.asarray(table["t"], float)
     values = np.stack([np.asarray(table[name], float) for name in LEAP])
@@ -60,6 +61,21 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
             bad |= rows
     return bad, [f"pose: {int(bad.sum())} of {len(t)} rows left out, the fish was lost in {'; '.join(seen)}"] if seen else []
+
+
+def folds(pose: Table) -> np.ndarray:
+    """Rows before which a heading jumps from one edge of half a turn to the other: it is an axis, folded; none of a direction.
+
+    Such are the angles of an image's moments. Both sides of a jump are one axis, and the fish itself does not jump.
+    """
+    x, y, yaw = (np.asarray(pose[name], float) for name in LEAP)
+    step = np.abs(np.diff(yaw))
+    jumps = step > FOLD
+    if not jumps.any() or np.ptp(yaw) > HALF:
+        return np.zeros(0, int)
+    usual = max(LEVEL, 3 * float(np.quantile(step[~jumps], 0.95, method="higher"))) if not jumps.all() else LEVEL
+    sound = (np.pi - step < usual) & (np.hypot(np.diff(x), np.diff(y)) < LEAP["x"])
+    return np.flatnonzero(jumps) + 1 if sound[jumps].all() else np.zeros(0, int)
 
 
 def failed_reads(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
