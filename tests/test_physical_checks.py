@@ -433,3 +433,22 @@ def test_a_tail_taken_for_the_head_is_no_folded_heading():
     t = turning().tables["pose"]["t"]
     flipped = changed(turning(), "pose", yaw=lambda v: np.where(t > 6.0, v - np.pi, v))
     assert "did the tracker take the tail for the head" in names(flipped)["lost pose"] and "heading" not in names(flipped)
+
+
+def test_poses_that_repeat_for_less_than_half_a_second_are_counted():
+    swim, t = turning(), turning().tables["pose"]["t"]
+    for frame in (
+        np.floor(0.8 * np.arange(len(t)) + 1e-9) / 0.8,
+        np.where(np.arange(len(t)) % 100 < 15, np.arange(len(t)) // 100 * 100, np.arange(len(t))),
+    ):
+        shown = np.ceil(frame - 1e-9).astype(int)
+        held = changed(swim, "pose", x=lambda v, k=shown: v[k], y=lambda v, k=shown: v[k], yaw=lambda v, k=shown: v[k])
+        said = names(held)["stale reading"]
+        assert (
+            f"{int(np.sum(np.diff(shown) == 0))} of {len(t)} rows repeat the pose of the row before, while the joints move"
+            in said
+        )
+        assert levels(held)["stale reading"] == physical_checks.NOTE
+        assert names(replace(held, meta={**held.meta, "plausible": {"stale": 1.0}})) == {}
+    rests = {k: {c: (v if c == "t" else v[:1] + 0 * v) for c, v in table.items()} for k, table in swim.tables.items()}
+    assert names(replace(swim, tables=rests)) == {}

@@ -42,8 +42,8 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
                 IMPORT,
                 f"pose: yaw jumps from one edge of half a turn to the other, {len(rows)} times, first at"
                 f" t = {pose['t'][rows[0]]:.3f} s: it is an axis, folded into 180 deg, as of an image's moments; expected the"
-                " direction of the nose in a full turn. Unfold the column (numpy.unwrap with a period of half a turn), and add half"
-                " a turn if it then points to the tail",
+                " direction of the nose in a full turn. Unfold the column (numpy.unwrap with a period of half a turn), and add"
+                " half a turn if it then points to the tail",
             )
             return
         t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))

@@ -46,13 +46,26 @@ from fishmj.log.course import (
 )
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
-from fishmj.log.unread_rows import OFTEN, UNREAD, failed_rows, folds, fresh_rows, is_logged, is_sound, joints, lost_poses, speeds
+from fishmj.log.unread_rows import (
+    OFTEN,
+    UNREAD,
+    failed_rows,
+    folds,
+    fresh_rows,
+    is_coarse,
+    is_logged,
+    is_sound,
+    joints,
+    lost_poses,
+    speeds,
+)
 
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
 WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
 RELEASED = 0.02  # m from a pose that was held to the next one
 ECHO = 5  # rows by which an echo of a command is late, at most
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
+OLD = 0.01  # share of rows that repeat a pose for less than that, from which it is noted
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
@@ -263,6 +276,19 @@ def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             " did the tracker stop? Leave these cells blank, or split the file there"
         )
         yield USE, text
+    short = [(a, b) for a, b in pairwise((0, *ends)) if b - a > 1 and t[b - 1] - t[a] < FROZEN]
+    watch, seen = (clock, [bent[name] for name in angles]) if angles else (t, [pose["x"], pose["y"]])
+    near = np.searchsorted(watch, [(t[a] - FROZEN, t[b - 1] + FROZEN) for a, b in short]).reshape(-1, 2)
+    moves = [any(np.ptp(v[i:j]) > (2 * DRIVEN if angles else RELEASED) for v in seen if i < j) for i, j in near]
+    rows = sum(b - a - 1 for (a, b), moving in zip(short, moves, strict=True) if moving)
+    steps = np.abs(np.diff(np.stack([np.asarray(pose[name], float) for name in ("x", "y", "yaw")])))
+    if bounds.stale < 1 and rows >= max(OFTEN, OLD * len(t)) and not is_coarse(steps):
+        text = (
+            f"pose: {rows} of {len(t)} rows repeat the pose of the row before, while {doing}, and are read as if measured at"
+            " their own time: is the camera slower than the log, or did it miss frames? Leave these cells blank, or stamp the"
+            " poses by the camera's own clock"
+        )
+        yield NOTE, text
 
 
 def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:

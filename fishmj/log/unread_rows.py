@@ -101,6 +101,11 @@ def failed_reads(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]
     return bad, [f"joint: {int(bad.sum())} of {len(t)} rows left out, failed reads of {'; '.join(told)}"]
 
 
+def is_coarse(steps: np.ndarray) -> bool:
+    """Returns True if steps (C, T) from row to row, as magnitudes, are mostly the least that each column's numbers resolve."""
+    return all(np.median(step[step > 0]) < 1.5 * step[step > 0].min() for step in steps if step.any())
+
+
 def fresh_rows(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
     """Rows in which a sensor that is slower than its log has a new value, with a note; all rows of any other table.
 
@@ -124,8 +129,7 @@ def fresh_rows(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
         moving = [v for c, v in columns.items() if c not in ("t", "t_rx", "seq") and np.ptp(v)]
         steps = np.abs(np.diff(np.stack(moving)))[:, ~rest[1:]]
         alone = 1 - np.prod(1 - np.mean(steps > 0, axis=1))  # share of rows with a change, did each column change by itself
-        coarse = all(np.median(step[step > 0]) < 1.5 * step[step > 0].min() for step in steps if step.any())
-        if coarse or np.mean(length == 1) > SINGLE or steps.any(axis=0).mean() > TOGETHER * alone:
+        if is_coarse(steps) or np.mean(length == 1) > SINGLE or steps.any(axis=0).mean() > TOGETHER * alone:
             return every, []
         mean = float(length[length <= LONG * np.median(length)].mean())
     since = every - starts[np.cumsum(new) - 1]
