@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fishmj import control, engines, evaluate
-from fishmj.base.errors import ConfigError, StoreError, UnknownName
+from fishmj.base.errors import ConfigError, OwnCodeError, StoreError, UnknownName
 from fishmj.control import gains_of, gait_table
 from fishmj.control.adrc import ExtendedStateObserver, navigation
 from fishmj.control.cpg import Cpg, Rates
@@ -326,3 +326,18 @@ def test_a_folder_does_not_hide_a_shipped_name(tmp_path, monkeypatch):
     for name in ("paper", "dob"):
         (tmp_path / name).mkdir()
         assert control.chosen(name).name == control.make(name).name == name
+
+
+@pytest.mark.parametrize("name", ["f", "g", "h"])
+def test_a_bare_function_of_observations_is_told_to_be_a_class(tmp_path, name):
+    """The class of the hint, pasted into the file, is a controller."""
+    text = "import numpy as np\ndef f(obs): return np.zeros((len(obs), 10, 3))\ng = lambda obs: f(obs)\nh = 3\n"
+    (tmp_path / "bare.py").write_text(text)
+    with pytest.raises(OwnCodeError, match=f"{name} is called with the robot, once, and gives the controller") as told:
+        control.chosen(f"{tmp_path / 'bare.py'}:{name}", ROBOT)
+    line = str(told.value).partition("name a class of it: ")[2]
+    assert f"{name}(obs)" in line
+    (tmp_path / "mended.py").write_text(f"{text}{line}\n")
+    brain = control.chosen(f"{tmp_path / 'mended.py'}:Mine", ROBOT)
+    brain.reset(2)
+    assert name == "h" or brain(np.zeros((2, 11))).shape == (2, 10, 3)

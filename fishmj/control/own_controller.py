@@ -1,6 +1,7 @@
 """A controller of the user's own behind the common interface: it gets a copy, and its output is checked in every step."""
 
 from collections.abc import Sequence
+from inspect import isclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,10 @@ from fishmj.base.names import nearest
 from fishmj.engines import ticks_per
 from fishmj.mjcf.description import Robot
 
+EXAMPLE = (  # of a class in one line
+    "{0} is called with the robot, once, and gives the controller; if it takes obs itself, name a class of it:"
+    " class Mine: __init__ = lambda self, robot: None; reset = lambda self, n: None; __call__ = lambda self, obs: {0}(obs)"
+)
 LARGEST = np.pi  # rad, of a command: no hinge goes there, so it is degrees
 
 
@@ -25,10 +30,15 @@ class Own:
 
     def __init__(self, robot: Robot, factory: Any, text: str, taken: Sequence[str] = ()):
         self.robot, self.what = robot, f"controller {text}"
-        plugins.takes(self.what, factory, "Name(robot)", 1)
-        self.controller = plugins.call(self.what, factory, robot)
-        plugins.takes(self.what, getattr(self.controller, "reset", None), "reset(n)", 1)
-        plugins.takes(self.what, self.controller, "__call__(obs)", 1)
+        try:
+            plugins.takes(self.what, factory, "Name(robot)", 1)
+            self.controller = plugins.call(self.what, factory, robot)
+            plugins.takes(self.what, getattr(self.controller, "reset", None), "reset(n)", 1)
+            plugins.takes(self.what, self.controller, "__call__(obs)", 1)
+        except OwnCodeError as error:
+            if isclass(factory):
+                raise
+            raise OwnCodeError(f"{error}. {EXAMPLE.format(text.rpartition(':')[2])}") from error
         declared = nearest(str(getattr(self.controller, "name", "")))
         self.name = declared if declared and declared not in taken else plugins.name_of(text)
         self.sha256 = plugins.source_sha256(factory)
