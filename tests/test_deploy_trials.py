@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, LogError, StoreError
+from fishmj.base.errors import ConfigError, LogError, StoreError, UsageError
 from fishmj.deploy import __main__ as deploy
 from fishmj.deploy.commands import trials_command
 from fishmj.deploy.loop import wiring
@@ -425,3 +425,10 @@ def test_lockstep_trials_write_tables_and_compare_with_another_water(tmp_path, c
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert [r["controller"] for r in told["results"]] == ["station, loopback robot", "station, fitted"]
     assert "fitted: 4 trials, water swift" in (out / "report.html").read_text()
+
+
+def test_a_direction_beyond_a_turn_is_refused_where_it_is_typed(capsys):
+    low, high = protocol.LIMITS["direction"]
+    assert trials_command.options().parse_args([*WORDS, "--out", "s", f"--direction={high}"]).direction == high
+    with pytest.raises(UsageError, match=f"expected a number from {low} to {high}"):
+        trials_command.options().parse_args([*WORDS, "--out", "s", "--direction", "6.5"])

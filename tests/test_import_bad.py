@@ -288,6 +288,8 @@ def test_check_says_one_line_a_problem(tmp_path, capsys):
         (("a.csv", "--out", "x", "--medium", "oil"), "water, air"),
         (("a.csv", "--out", "x", "--start", "1,2"), "expected three numbers"),
         (("a.csv", "--out", "x", "--start", "1,2,nan"), "expected a number"),
+        (("a.csv", "--out", "x", "--flow", "0.2"), "expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)"),
+        (("a.csv", "--out", "x", "--flow", "0.2,180"), "expected a number from -6.2832 to 6.2832"),
         (("a.csv", "--out", "x", "--robot", "a/b"), "robot name 'a/b'"),
         (("a.csv", "--out", "x", "--robot", "nowhere.toml"), "no such file"),
         (("a.csv", "--out", "x", "--format", "csvs"), "flat_csv"),

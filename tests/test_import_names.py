@@ -89,3 +89,13 @@ def test_an_excitation_with_two_readings_is_refused(texts):
     with pytest.raises(ConfigError, match="excitation name"):
         excitations(["a=ga it"])
     assert excitations(["a=gait", "b=gait", "steps"]) == {"a": "gait", "b": "gait", "": "steps"}
+
+
+def test_the_current_is_stated_by_an_option_or_not_at_all(tmp_path, bring):
+    lab_files.one(tmp_path / "in" / "swim.csv")
+    for words, speed, direction in (((), None, None), (("--flow", "0.2,3.14"), 0.2, 3.14), (("--flow", "0,0"), 0.0, 0.0)):
+        out = tmp_path / f"set{len(words)}{speed}"
+        assert bring(tmp_path / "in", *words, "--yes", out=out)[0] == 0
+        trial = lab_files.only(out)
+        assert (trial.value("flow.speed"), trial.value("flow.direction")) == (speed, direction)
+        assert trial.value("flow.known") is (True if words else None)

@@ -23,6 +23,7 @@ from fishmj.base import interrupt, terminal
 from fishmj.base.errors import DescriptionError, FishmjError, UnknownName, UsageError
 from fishmj.base.options import SEED as SEED
 from fishmj.base.options import SHOWN, shown
+from fishmj.base.options import TURN as TURN
 from fishmj.base.options import Distinct as Distinct
 from fishmj.base.options import Listed as Listed
 from fishmj.base.options import Number as Number
@@ -30,8 +31,10 @@ from fishmj.base.options import OneOf as OneOf
 from fishmj.base.options import add_settings as add_settings
 from fishmj.base.options import device as device
 from fishmj.base.options import devices as devices
+from fishmj.base.options import flow as flow
 from fishmj.base.options import name as name
 from fishmj.base.options import number as number
+from fishmj.base.options import numbers as numbers
 from fishmj.base.options import out_file as out_file
 from fishmj.base.options import out_folder as out_folder
 from fishmj.base.options import path as path

@@ -149,6 +149,24 @@ def whole(low: int, high: int | None = None) -> Number:
     return Number(low, math.inf if high is None else high, whole=True)
 
 
+def numbers(form: str, *ranges: tuple[float, float]) -> Callable[[str], tuple[float, ...]]:
+    """The `type=` of an option `A,B,..`, one number a range, which gives a tuple. form: what is expected, with an example."""
+
+    def read(text: str) -> tuple[float, ...]:
+        parts = text.split(",")
+        if len(parts) != len(ranges):
+            raise argparse.ArgumentTypeError(f"got {shown(text)}, expected {form}")
+        return tuple(Number(*bounds)(part) for bounds, part in zip(ranges, parts, strict=True))
+
+    return read
+
+
+def flow(fastest: float) -> Callable[[str], tuple[float, ...]]:
+    """The `type=` of an option SPEED,DIRECTION: of a stream up to `fastest` m/s, and where it moves to, rad."""
+    return numbers("SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)", (0, fastest), TURN)
+
+
+TURN = (-6.2832, 6.2832)  # rad: a direction in degrees is mostly beyond
 SEED = whole(0, 2**53 - 1)  # of every draw; a whole number that JSON holds exactly
 
 

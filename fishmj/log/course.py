@@ -111,7 +111,10 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     near = 180 if astern else round(mean / 90) * 90
     if astern or (turned > TURN and near and abs(mean - near) < NEAR):
         zero = f"In the map give columns.yaw a zero that is {-near:d} deg more"
-        yield IMPORT, f"{message}: the heading is offset. {zero}; where a current carries the fish, state it as flow in [meta]"
+        yield (
+            IMPORT,
+            f"{message}: the heading is offset. {zero}; where a current carries the fish, state it as flow in [meta] or by --flow",
+        )
         return
     compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))
     if near and abs(mean - near) < NEAR:

@@ -83,6 +83,8 @@ def options() -> console.Parser:
     about = "name of the experiment, such as steps: of every trial, or of one; may be repeated; default: not said"
     add("--excitation", action="append", default=[], metavar="[TRIAL=]NAME", help=about)
     add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
+    current = "the water's speed and where it moves to in the camera's frame, m/s and rad; 0,0 is still water; default: not said"
+    add("--flow", type=console.flow(5), metavar="SPEED,DIRECTION", help=current)
     add("--medium", choices=("water", "air"), help="default: not said")
     add("--origin", choices=("measured", "synthetic"), help="default: measured")
     add("--licence", help="of the data, such as CC-BY-4.0; default: not said")
@@ -159,10 +161,12 @@ def _run(args: Namespace, described: Described) -> int:
 
 # ------------------------------------------------------------------------------------------------------------- statements
 def _meta(args: Namespace, described: Described) -> dict:
-    """Meta data from the command line: robot, experiment, start pose of the fish, bounds on magnitude."""
+    """Meta data from the command line: robot, experiment, start pose of the fish, flow, bounds on magnitude."""
     meta: dict = {key: value for key in ("medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None}
     if args.robot is not None:
         meta |= robot_of(args.robot, described)
+    if args.flow is not None:
+        meta["flow"] = dict(zip(("speed", "direction", "known"), (*args.flow, True), strict=True))
     if args.plausible:
         meta[PLAUSIBLE] = args.plausible
     return meta
@@ -178,11 +182,9 @@ def robot_of(text: str, described: Described) -> dict:
 
 
 def _start(text: str) -> list[float]:
-    parts = text.split(",")
-    if len(parts) != 3:
-        raise ArgumentTypeError(f"got {text[:40]!r}, expected three numbers x,y,yaw [m, m, rad], such as 0,0,1.57")
     reach = shipped_bounds().start
-    return [console.number(-reach, reach)(part) for part in parts[:2]] + [console.number(-6.3, 6.3)(parts[2])]
+    form = "three numbers x,y,yaw [m, m, rad], such as 0,0,1.57"
+    return [*console.numbers(form, (-reach, reach), (-reach, reach), console.TURN)(text)]
 
 
 def _bounds(text: str) -> dict[str, float]:

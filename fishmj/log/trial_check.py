@@ -17,6 +17,7 @@ import numpy as np
 
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import LogError, UnknownName
+from fishmj.base.options import TURN
 from fishmj.log.limits import listed, quoted
 from fishmj.log.trial import META, ORIGINS, SCHEMA, YEAR, Table, TableSpec, gaps, look_up, table_spec
 
@@ -213,7 +214,7 @@ def check_meta(meta: dict, where: str) -> list[str]:
     speed, direction = (_number(meta, key, where) for key in ("flow.speed", "flow.direction"))
     if speed < 0:
         raise LogError(f"{where}: flow.speed = {speed} m/s is negative; turn flow.direction by pi instead")
-    if abs(direction) > 2 * math.pi:
+    if abs(direction) > TURN[1]:
         raise LogError(f"{where}: flow.direction = {direction} looks like degrees; the schema says rad. Multiply it by pi/180")
     missing = [key for key in META if look_up(meta, key) is None]
     return [f"{where}: missing {', '.join(missing)}"] if missing else []

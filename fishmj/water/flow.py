@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.base.options import checked, checked_name
+from fishmj.base.options import TURN, checked, checked_name
 
 PRESETS = ("default", "fine", "gust", "vortex_street", "shear", "none")
 _LENGTHS = {"default": "length", "fine": "length_fine", "vortex_street": "length_street", "shear": "length_shear"}
@@ -29,7 +29,6 @@ TICK: float = constant("timing", "bus_dt")  # s, time step of gust tables and of
 _FLOOR: float = constant("turbulence", "speed_floor")  # m/s
 _CELLS = 64  # grid points along each side of the box; box side = 8 L
 _GUST_ROWS, _GUST_TICKS = 64, 4096
-TURN = (-6.2832, 6.2832)  # rad: a direction in degrees is mostly beyond
 LIMITS = {"speed": (0, 4.999), "direction": TURN, "intensity": (0, 0.999), "seed": (0,), "box": (0,)}  # of a `Flow`
 BOXES = {"train": 0, "tune": 1, "judge": 2}
 

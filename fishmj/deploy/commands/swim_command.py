@@ -6,7 +6,6 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from datetime import datetime
-from math import pi
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -245,8 +244,8 @@ def write_mcap(folder: Path, robot: Robot) -> Path:
 
 def place(text: str) -> tuple[float, float]:
     """Parses `0.3,-0.2`: x and y in the tank, m. Raises ArgumentTypeError."""
-    x, y = _two(text, "X,Y such as 0.3,-0.2 (m)")
-    return console.number(-100, 100)(x), console.number(-100, 100)(y)
+    x, y = console.numbers("X,Y such as 0.3,-0.2 (m)", (-100, 100), (-100, 100))(text)
+    return x, y
 
 
 def flow(text: str) -> tuple[float, float]:
@@ -258,8 +257,8 @@ def flow(text: str) -> tuple[float, float]:
     if mark:
         water = FlowMap.read(console.path(path)).at(console.number(-1e6, 1e6)(setting))
         return water.speed, water.direction
-    speed, direction = _two(text, "SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
-    return console.number(0, 2)(speed), console.number(-2 * pi, 2 * pi)(direction)
+    speed, direction = console.flow(2)(text)
+    return speed, direction
 
 
 def gait(text: str) -> SineGait:
@@ -268,10 +267,3 @@ def gait(text: str) -> SineGait:
     if len(parts) not in (3, 4):
         raise ArgumentTypeError(f"got {text[:40]!r}, expected HZ,AMPLITUDE_DEG,LAG_DEG[,BIAS_DEG] such as 1,20,60")
     return SineGait(*(console.number(-360, 360)(part) for part in parts))
-
-
-def _two(text: str, expected: str) -> tuple[str, str]:
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise ArgumentTypeError(f"got {text[:40]!r}, expected {expected}")
-    return parts[0], parts[1]

@@ -69,7 +69,7 @@ def options() -> console.Parser:
     mapped = "of fishmj deploy flow-map: the pump's setting for each speed, TI and length scale (default: not known)"
     add("--flow-map", type=console.path, metavar="FILE", help=mapped)
     moves = "rad, where the water moves to in the tank (default: as the flow map says, else 0, along x)"
-    add("--direction", type=console.number(-7, 7), metavar="RAD", help=moves)
+    add("--direction", type=console.number(*console.TURN), metavar="RAD", help=moves)
     add("--speeds", type=console.Listed(console.number(0, 1)), metavar="M/S,..", help="of the water; default 0.1,0.2,0.3")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
     add("--los", type=los, metavar="DEG,..", help="lines of sight at the start: 0 straight upstream; default 0,45,..,315")

@@ -1,8 +1,6 @@
 """`fishmj deploy loopback`: a robot without a fish, in real time behind UDP on this machine."""
 
-from argparse import ArgumentTypeError
 from functools import partial
-from math import pi
 from pathlib import Path
 
 from fishmj.base import console
@@ -39,9 +37,10 @@ def options() -> console.Parser:
     add("--fault", type=console.text, action="append", default=[], metavar="FAULT", help=fault)
     robot("seed", "noise", "nuisance")
     start = "x, y [m] and yaw [rad] at the start"
-    add("--start", type=numbers((-FAR, FAR), (-FAR, FAR), (-2 * pi, 2 * pi)), default="0,0,0", metavar="X,Y,YAW", help=start)
+    place = console.numbers("X,Y,YAW such as 0,0,1.57 (m, m, rad)", (-FAR, FAR), (-FAR, FAR), console.TURN)
+    add("--start", type=place, default="0,0,0", metavar="X,Y,YAW", help=start)
     flow = "stream, m/s and where it moves to, rad"
-    add("--flow", type=numbers((0, FASTEST), (-2 * pi, 2 * pi)), default="0,0", metavar="SPEED,DIRECTION", help=flow)
+    add("--flow", type=console.flow(FASTEST), default="0,0", metavar="SPEED,DIRECTION", help=flow)
     add("--turbulence", choices=PRESETS, default="none", help="of the stream; the second robot takes none and gust")
     server("port", "host_port")
     robot("delay")
@@ -53,21 +52,6 @@ def options() -> console.Parser:
     add("--write-calibration", type=console.out_file, metavar="FILE", help="write it, for the tracker (default: not)")
     server("seconds", "parent")
     return parser
-
-
-def numbers(*ranges: tuple[float, float]):
-    """The type of an option `A,B,..` with one number a range; its values as a tuple.
-
-    Raises ArgumentTypeError: another count, or a number out of its range.
-    """
-
-    def read(text: str) -> tuple[float, ...]:
-        parts = text.split(",")
-        if len(parts) != len(ranges):
-            raise ArgumentTypeError(f"got {text[:40]!r}, expected {len(ranges)} numbers with commas")
-        return tuple(console.number(*bounds)(part) for bounds, part in zip(ranges, parts, strict=True))
-
-    return read
 
 
 def served(args) -> ServeOptions:

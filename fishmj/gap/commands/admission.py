@@ -138,7 +138,8 @@ def still_water(trials: Iterable[Trial]) -> list[str]:
     swims = [t for t in trials if "pose" in t.tables and t.value("medium") != "air"]
     speeds = [(t.value("flow.speed"), t.value("flow.known")) for t in swims]
     unsaid = sum(speed is None or not speed and known is False for speed, known in speeds)
-    return [f"{unsaid} of {len(swims)} swims do not state their current, flow in meta.toml; taken for still water"] * bool(unsaid)
+    told = f"{unsaid} of {len(swims)} swims do not state their current, flow in meta.toml or log import --flow"
+    return [f"{told}; taken for still water"] * bool(unsaid)
 
 
 def joints_of(trial: Trial) -> int:

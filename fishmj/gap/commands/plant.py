@@ -12,10 +12,8 @@ morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies a
     fishmj gap plant --list
 """
 
-from argparse import ArgumentTypeError
 from functools import partial
 from itertools import count, cycle, islice
-from math import pi
 
 import numpy as np
 
@@ -70,7 +68,7 @@ def main(argv: list[str]) -> int:
     air = "--generator independent: in water, or hung on a thread in air, without a camera (default water)"
     add("--medium", default=trials.MEDIA[0], choices=trials.MEDIA, help=air)
     ordered = "--generator independent: ordered stream, m/s and rad (default 0,0)"
-    add("--flow", type=stream, default=(0.0, 0.0), metavar="SPEED,DIRECTION", help=ordered)
+    add("--flow", type=console.flow(FASTEST), default=(0.0, 0.0), metavar="SPEED,DIRECTION", help=ordered)
     add("--domain", type=console.text, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
     add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
     add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
@@ -166,14 +164,6 @@ def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
     whole = generate(hidden, runs, *numbers, flow=args.flow, sensors=rates(args), tick=tick)
     rng = np.random.default_rng([args.seed, 18])
     return [with_lost_rows(trial, args.drop, rng) for trial in whole], facts | {"drop": args.drop, "sensors": rates(args)}
-
-
-def stream(text: str) -> tuple[float, float]:
-    """Parses `0.2,3.14`: speed [m/s] and direction [rad]. Raises ArgumentTypeError: no two numbers in their ranges."""
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise ArgumentTypeError(f"got {text[:40]!r}, expected SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)")
-    return console.number(0, FASTEST)(parts[0]), console.number(-2 * pi, 2 * pi)(parts[1])
 
 
 def listed(json: bool) -> int:
