@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from fishmj.base import store
 from fishmj.base.errors import StoreError
-from fishmj.base.store import left_out, shipped
+from fishmj.base.store import atomic, left_out, shipped
 from fishmj.base.store.temporary import HOST
 
 
@@ -219,3 +219,10 @@ def test_clear_removes_what_it_names_and_nothing_else(tmp_path):
     left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")}
     assert left == {"mine.html", "logs", "logs/b", "outside", "outside/kept"}
     store.clear(tmp_path / "nowhere", "*")
+
+
+def test_what_differs_between_two_tables_is_told_once_for_all_commands():
+    mine, theirs = {"a": {"b": 1, "c": None}, "d": 2, "e": "x", "f": 3}, {"a": {"b": 2, "c": 4}, "d": 2, "f": 4, "g": 5}
+    told = atomic.differing(mine, theirs, "{key}: {mine}, not {theirs}", free=("f",))
+    assert told == "a.b: 1, not 2; a.c: not set, not 4; g: not set, not 5 and 1 more"
+    assert atomic.differing(mine, mine, "{key}") == "" == atomic.differing({"a": None}, {}, "{key}")

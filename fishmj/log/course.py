@@ -113,7 +113,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         zero = f"In the map give columns.yaw a zero that is {-near:d} deg more"
         yield (
             IMPORT,
-            f"{message}: the heading is offset. {zero}; where a current carries the fish, state it as flow in [meta] or by --flow",
+            f"{message}: the heading is offset. {zero}; where a current carries the fish, state it as flow in [meta] or --flow",
         )
         return
     compass = np.degrees(np.angle(np.exp(1j * (mirrored[0] - pi / 2))))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from fishmj.base import plugins
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import checked, checked_name, declared, option_of
-from fishmj.base.store.atomic import leaves, read_json
+from fishmj.base.store.atomic import differing, read_json
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
 from fishmj.water.choice import LBM
@@ -215,9 +215,5 @@ def same(folder: Path, mine: Settings, theirs: dict) -> None:
 
     Raises ConfigError: with both values of those that differ.
     """
-    a, b = dict(leaves(as_dict(mine))), dict(leaves(theirs))
-    other = [k for k in {**a, **b} if a.get(k) != b.get(k) and k not in FREE]
-    if other:
-        message = "; ".join(f"{key} = {a.get(key, 'not set')}, the run has {b.get(key, 'not set')}" for key in other[:3])
-        more = f" and {len(other) - 3} more" if len(other) > 3 else ""
-        raise ConfigError(f"{folder}: {message}{more}; a run goes on with its own settings: leave these options out")
+    if other := differing(as_dict(mine), theirs, "{key} = {mine}, the run has {theirs}", FREE):
+        raise ConfigError(f"{folder}: {other}; a run goes on with its own settings: leave these options out")

@@ -10,7 +10,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -128,13 +128,21 @@ def read_json(path: str | Path):
 
 def same_as_begun(path: Path, options: dict) -> None:
     """Keeps the options in `path`. Raises ConfigError: its folder was begun with others, whose results would be mixed."""
-    mine = dict(leaves(plain(options)))
-    theirs = dict(leaves(read_json(path))) if path.is_file() else mine
-    if other := [key for key in {**theirs, **mine} if theirs.get(key) != mine.get(key)]:
-        told = "; ".join(f"{key} {theirs.get(key)!s:.40}, got {mine.get(key)!s:.40}" for key in other[:3])
-        more = f" and {len(other) - 3} more" if len(other) > 3 else ""
-        raise ConfigError(f"{path.parent} was begun with {told}{more}; repeat the options to go on, or take another --out")
+    if path.is_file() and (other := differing(plain(options), read_json(path), "{key} {theirs}, got {mine}")):
+        raise ConfigError(f"{path.parent} was begun with {other}; repeat the options to go on, or take another --out")
     write_json(path, options)
+
+
+def differing(mine: dict, theirs: Any, told: str, free: Sequence[str] = ()) -> str:
+    """Text of the first three values that differ between two nested tables, and how many more; "" if none does.
+
+    told: form of one, with {key}, {mine} and {theirs}. free: names that may differ.
+    """
+    a, b = dict(leaves(mine)), dict(leaves(theirs))
+    other = [key for key in {**b, **a} if a.get(key) != b.get(key) and key not in free]
+    shown = lambda value: "not set" if value is None else f"{value!s:.40}"
+    each = [told.format(key=key, mine=shown(a.get(key)), theirs=shown(b.get(key))) for key in other[:3]]
+    return "; ".join(each) + (f" and {len(other) - 3} more" if len(other) > 3 else "")
 
 
 def leaves(table: Any, name: str = "") -> Iterator[tuple[str, Any]]:
