@@ -14,6 +14,7 @@ from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import run_trials, trials
 from fishmj.evaluate.rank_waters import rank_waters_command
 from fishmj.gap.calibrate import slip
+from fishmj.gap.calibrate.__main__ import reference_grid
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import collect
 from fishmj.hydro_fit.campaign.data import plan as plans
@@ -177,3 +178,15 @@ def test_a_plan_at_another_slip_ratio_has_the_same_episodes_and_splits():
     assert moved.label == "scale 0.1, all at slip 0.98"
     rest = lambda plan: {s.id: s.sha256 for s in plan.segments if s.block != "policy"}
     assert rest(plans.planned(moved.label, "fish")) == rest(moved)  # the label says what was moved
+
+
+@pytest.mark.parametrize("command", ["collect", "calibrate slip"])
+def test_free_swims_of_the_reference_name_their_own_window(command):
+    """Both swim in the window of the reference, not in the box in which policies are judged."""
+    told = f"^{command}: --.* laptop beside --reference, which is reference-2, {REFERENCE.window}, "
+    with pytest.raises(ConfigError, match=told):
+        if command == "collect":
+            collect.main(["--reference", "--domain", "laptop", "--dry-run"])
+        else:
+            reference_grid("laptop")
+    assert reference_grid(None) == (REFERENCE.window, "rims")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from fishmj.base import console, interrupt
 from fishmj.base.console import Command
-from fishmj.base.errors import ConfigError
 from fishmj.mjcf.reading import load_robot
 
 CHECKED = Path("runs") / "calibrate" / "check"  # finished robots of `check`
@@ -42,11 +41,10 @@ def fit(verb: str, argv: list[str]) -> int:
 
 def reference_grid(grid: str | None, boundary: str | None = None) -> tuple[str, str]:
     """Grid, for a fish that swims away, and boundary of the reference water. Raises ConfigError for others."""
-    from fishmj.lbm_oracle.run.solver_water import REFERENCE, boundary_name
+    from fishmj.lbm_oracle.run.solver_water import IN_WINDOW, boundary_name, refuse_beside
 
-    if given := f"--grid {grid}" if grid is not None else f"--boundary {boundary}" if boundary else "":
-        raise ConfigError(f"calibrate slip: {given} beside --reference, which is {REFERENCE.window}; leave one of them out")
-    return REFERENCE.window, boundary_name(REFERENCE.sharpness)
+    refuse_beside("calibrate slip", IN_WINDOW, grid=grid, boundary=boundary)
+    return IN_WINDOW.domain, boundary_name(IN_WINDOW.sharpness)
 
 
 def options(verb: str) -> console.Parser:

@@ -146,6 +146,7 @@ class SolverWater(NamedTuple):
 
 PLAIN = SolverWater("lbm", "paper", "window_coarse")
 REFERENCE = SolverWater("reference-2", "paper_refined", "window_coarse_refined", slip=0.99, sharpness=BOUNDARIES["rims"])
+IN_WINDOW = REFERENCE._replace(domain=REFERENCE.window)  # as of segments and free swims
 WALL_STRESS = SolverWater("reference-3", "paper_refined", "window_coarse_refined", sharpness=BOUNDARIES["wall_stress"])
 LOW_REYNOLDS = SolverWater(
     "low-reynolds", "paper_refined_twice_small", "window_coarse_refined_twice_small", slip=0.0, sharpness=BOUNDARIES["fins"],
@@ -192,7 +193,11 @@ def asked_for(
             raise ConfigError(f"{who}: --slip {slip:g} beside --boundary {boundary}, which sets it; leave one of them out")
         water = PLAIN._replace(domain=box, slip=PLAIN.slip if slip is None else slip, sharpness=edge)
         return water._replace(storage=storage or PLAIN.storage, dx=dx)
-    options = {"--domain": domain, "--slip": slip, "--boundary": boundary, "--storage": storage, "--dx": dx}
-    if given := " ".join(f"{name} {value}" for name, value in options.items() if value is not None):
-        raise ConfigError(f"{who}: {given} beside --reference, which is {REFERENCES[reference].said}; leave one of them out")
+    refuse_beside(who, REFERENCES[reference], domain=domain, slip=slip, boundary=boundary, storage=storage, dx=dx)
     return REFERENCES[reference]
+
+
+def refuse_beside(who: str, water: SolverWater, **options: Any) -> None:
+    """Raises ConfigError: an option beside --reference, which is `water` there; None: not given."""
+    if given := " ".join(f"--{name} {value}" for name, value in options.items() if value is not None):
+        raise ConfigError(f"{who}: {given} beside --reference, which is {water.said}; leave one of them out")

@@ -33,7 +33,7 @@ from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.fluid.guard import check_speed
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, REFERENCE, asked_for, boundary_name, boundary_option
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, IN_WINDOW, REFERENCE, boundary_name, boundary_option, refuse_beside
 from fishmj.lbm_oracle.run.spread import ray_device, spread
 from fishmj.lbm_oracle.run.stability import SLOW
 from fishmj.mjcf.description import Robot
@@ -276,8 +276,8 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(args.fish)
     if args.reference:
         slip = args.slip[0] if args.slip else None
-        asked_for("collect", REFERENCE.name, args.domain, slip, boundary=args.boundary)  # refuses another box, ratio or boundary
-        args.domain = REFERENCE.window
+        refuse_beside("collect", IN_WINDOW, domain=args.domain, slip=slip, boundary=args.boundary)
+        args.domain = IN_WINDOW.domain
     edge = REFERENCE.sharpness if args.reference else BOUNDARIES[args.boundary or "plain"]
     plan = plan_of(args, robot)
     if edge.law_height is not None and any(segment.slip != 1 for segment in plan.segments):
