@@ -396,3 +396,15 @@ def test_letters_of_two_servos_are_no_units(tmp_path, bring, names):
     )
     code, _, err = bring(tmp_path / "a.csv", "--yes")
     assert code == 2 and all(f"--set {name}=cmd.c1:deg or cmd.c2:deg" in err for name in names)
+
+
+def test_a_clock_that_is_set_back_is_no_few_stray_rows(tmp_path, bring):
+    """The rows after it are all late by so much; 40 of 5000 were left out, and the joints went on a beat later."""
+    t = 0.02 * np.arange(5000)
+    set_back, mixed = np.where(t < 50.0, t, t - 0.8), t.copy()
+    mixed[[2000, 2001]] = mixed[[2001, 2000]]
+    for name, stamps in (("set", set_back), ("mixed", mixed)):
+        lab_files.write(tmp_path / name / "swim.csv", {"time_s": stamps, "servo1_deg": 20 * np.sin(6 * t)})
+    code, _, err = bring(tmp_path / "set", "--yes", out=tmp_path / "a")
+    assert code == 2 and "the clock was set back by 0.8 s. Split the file there" in err
+    assert bring(tmp_path / "mixed", "--yes", out=tmp_path / "b")[0] == 0

@@ -242,3 +242,27 @@ def test_a_trials_own_meta_relaxes_a_bound(tmp_path):
     (tmp_path / "meta.toml").write_text('origin = "measured"\nplausible = "all"\n')
     with pytest.raises(LogError, match="expected a table such as"):
         log.read_trial(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "asked", "unit"),
+    [("time_min", 60.0, "may be s or min", "min"), ("time", 3600.0, "may be h", "h"), ("time", 86400.0, "or day", "day")],
+)
+def test_stamps_in_long_units_are_asked_with_the_unit_that_fits(tmp_path, bring, name, seconds, asked, unit):
+    t = 0.02 * N
+    rows = [f"{name},servo1_deg,servo2_deg", *(f"{float(a) / seconds!r},{20 * b:.4f},0" for a, b in np.stack([t, WAVE], 1))]
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "swim.csv").write_text("\n".join(rows) + "\n")
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 2 and asked in err and f"t:{unit}" in err
+    assert bring(tmp_path / "in", "--yes", "--set", f"{name}=t:{unit}")[0] == 0
+    near(only(tmp_path / "set").table("cmd")["t"], t)
+
+
+def test_a_heading_that_counts_turns_may_be_rad(tmp_path, bring):
+    yaw = 0.1 * N + 0.05 * WAVE
+    lab_files.write(tmp_path / "in" / "swim.csv", {"time_s": 0.1 * N, "x_m": np.sin(yaw), "y_m": -np.cos(yaw), "yaw_rad": yaw})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 2 and "deg, or a heading that counts turns" in err and "pose.yaw:deg or pose.yaw:rad" in err
+    assert bring(tmp_path / "in", "--yes", "--set", "yaw_rad=pose.yaw:rad")[0] == 0
+    near(only(tmp_path / "set").table("pose")["yaw"], yaw)

@@ -85,6 +85,7 @@ _SPELLED = {
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"mv": "mV", "ma": "mA"}
 BODY = set("bl bls bodylength bodylengths l".split()) | {"body length", "body lengths"}
 RARE = set("rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn".split())  # taken where a name says so, only
+LONG = ("min", "h", "day")  # of stamps; a name that ends with one means another thing as often
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 130.0  # deg; a joint beyond is counted in ticks, or from its servo's end
@@ -149,6 +150,7 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
     allowed = [
         unit for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if 1e-4 * scale <= middle <= 100 * scale
     ]
+    allowed += [unit for unit in LONG if 5e-4 <= middle * UNITS[unit][1] <= 0.4]
     return "", f"steps of {middle:.4g} may be {' or '.join(allowed) or 'none of s, ms, us, ns'}"
 
 
@@ -290,7 +292,8 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
         doubt = _stamps_against(unit, values[0])
         return doubt, likely(what) if doubt else ()
     if what in ("angle", "joint") and unit == "rad" and most > 2 * math.pi:
-        return f"the name says rad, but {most:.4g} rad is more than a turn", ("deg",)
+        more = "" if what == "joint" else ": deg, or a heading that counts turns"
+        return f"the name says rad, but {most:.4g} rad is more than a turn{more}", ("deg",) if what == "joint" else ("deg", "rad")
     if what == "joint" and unit == "deg" and TINY_ANGLE <= most <= 0.5 * RAD:
         return f"the name says deg, but no joint goes beyond {math.radians(most):.2g} rad; {most:.3g} may be rad", ("rad", "deg")
     if what == "joint" and unit == "deg" and (end := _from_end(values)):

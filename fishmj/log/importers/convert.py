@@ -30,6 +30,7 @@ FEW = 3  # times that a clock which was set goes back; rows that are mixed do so
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
+EVEN = 10  # rows on either side of a step back that tell a clock that was set
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -343,7 +344,21 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
         else:
             advice = "Sort the rows by time, or name another column of time"
         raise LogError(f"{text}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
+    if back := _set_back(t):
+        raise LogError(f"{text}; the clock was set back by {back:.3g} s. Split the file there, or name another column of time")
     return np.flatnonzero(~stray), [f"{table}: {text}; {int(stray.sum())} such row(s) left out"]
+
+
+def _set_back(t: np.ndarray) -> float:
+    """Seconds by which a clock is set back between even stamps; 0 where rows only come out of order, as strays do."""
+    for first in np.flatnonzero(np.diff(t) < 0) + 1:
+        around = t[max(first - EVEN, 0) : first + EVEN]
+        if len(around) == 2 * EVEN:
+            step = float(np.median(np.diff(around)))
+            own = around - step * np.arange(2 * EVEN)
+            if max(np.ptp(own[:EVEN]), np.ptp(own[EVEN:])) < 0.5 * step < step < np.median(own[:EVEN]) - np.median(own[EVEN:]):
+                return float(np.median(own[:EVEN]) - np.median(own[EVEN:]))
+    return 0.0
 
 
 def _refuse_pairs(table: str, sheet: Sheet, t: np.ndarray, order: np.ndarray, columns: Table, stamp: str) -> None:
