@@ -266,3 +266,18 @@ def test_a_heading_that_counts_turns_may_be_rad(tmp_path, bring):
     assert code == 2 and "deg, or a heading that counts turns" in err and "pose.yaw:deg or pose.yaw:rad" in err
     assert bring(tmp_path / "in", "--yes", "--set", "yaw_rad=pose.yaw:rad")[0] == 0
     near(only(tmp_path / "set").table("pose")["yaw"], yaw)
+
+
+@pytest.mark.parametrize(("turn", "unit"), [(400.0, "gon"), (36e3, "cdeg"), (2e3 * math.pi, "mrad")])
+def test_a_heading_that_wraps_at_another_turn_is_asked(tmp_path, bring, turn, unit):
+    """It was read as degrees, and lost the rows around each wrap."""
+    yaw = 0.1 * N + 0.05 * WAVE
+    heading = (yaw % (2 * math.pi)) / (2 * math.pi) * turn
+    lab_files.write(
+        tmp_path / "in" / "swim.csv", {"time_s": 0.1 * N, "x_m": np.sin(yaw), "y_m": -np.cos(yaw), "heading": heading}
+    )
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 2 and f": {unit}?, --set heading=pose.yaw:{unit};" in err
+    assert bring(tmp_path / "in", "--yes", "--set", f"heading=pose.yaw:{unit}")[0] == 0
+    found = only(tmp_path / "set").table("pose")["yaw"]
+    near(np.cos(found), np.cos(yaw))

@@ -452,3 +452,19 @@ def test_poses_that_repeat_for_less_than_half_a_second_are_counted():
         assert names(replace(held, meta={**held.meta, "plausible": {"stale": 1.0}})) == {}
     rests = {k: {c: (v if c == "t" else v[:1] + 0 * v) for c, v in table.items()} for k, table in swim.tables.items()}
     assert names(replace(swim, tables=rests)) == {}
+
+
+@pytest.mark.parametrize("every", [2, 5, 60])
+def test_poses_on_straight_lines_between_others_are_counted(every):
+    """Frames that were filled in, or resampled to the rows of the log; at 60 rows a line only once."""
+    swim, rng = turning(), np.random.default_rng(1)
+    rows = np.arange(len(swim.tables["pose"]["t"]))
+    kept = rows[::every] if every < 60 else np.r_[rows[:200], rows[260:]]
+    noisy = {c: (lambda v, s=s: v + rng.normal(0, s, len(v))) for c, s in (("x", 5e-4), ("y", 5e-4), ("yaw", 3e-3))}
+    seen = changed(swim, "pose", **noisy)
+    filled = changed(seen, "pose", **{c: lambda v: np.round(np.interp(rows, kept, v[kept]), 6) for c in noisy})
+    assert names(seen) == {}
+    said, least = names(filled)["stale reading"], len(rows) - len(kept) - every
+    assert least <= int(said.split()[1]) <= least + 2 * every and "on straight lines between others" in said
+    assert levels(filled)["stale reading"] == physical_checks.NOTE
+    assert names(replace(filled, meta={**filled.meta, "plausible": {"stale": 1.0}})) == {}

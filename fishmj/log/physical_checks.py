@@ -10,7 +10,7 @@ command) passes.
     two sources     rows that alternate between two paths: two publishers on one topic
     joint speed     steps that no servo can follow
     standing still  commands move, the joint does not, in all of the trial or from some time on
-    stale reading   a moving joint repeats its last value, or the pose does while joints move
+    stale reading   a moving joint repeats its last value, or the pose does while joints move, or is filled in between
     joint sign      a joint that runs against its command at every plausible delay
     joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
@@ -65,7 +65,9 @@ WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a co
 RELEASED = 0.02  # m from a pose that was held to the next one
 ECHO = 5  # rows by which an echo of a command is late, at most
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
-OLD = 0.01  # share of rows that repeat a pose for less than that, from which it is noted
+OLD = 0.01  # share of rows that repeat a pose for less than that, or were filled in, from which it is noted
+LINE, ROUNDED = 5e-3, 0.03  # of the usual bend between rows, on a straight line: exact numbers, and rounded ones at most
+FILLED, RESAMPLED = 3, 0.2  # rows of one line; share of rows on lines from which shorter ones count
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
@@ -230,6 +232,7 @@ def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausi
 
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     yield from _frozen_pose(trial, bounds)
+    yield from _interpolated_pose(trial, bounds)
     table, cmd = trial.tables.get("joint", {}), trial.tables.get("cmd", {})
     pairs = [(name, cmd[f"c{name[1:]}"], table[name]) for name in joints(table) if f"c{name[1:]}" in cmd]
     echo = lambda c, j: np.ptp(c) > 2 * DRIVEN and any(np.array_equal(c[: len(c) - k], j[k:]) for k in range(ECHO))
@@ -277,10 +280,7 @@ def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         )
         yield USE, text
     short = [(a, b) for a, b in pairwise((0, *ends)) if b - a > 1 and t[b - 1] - t[a] < FROZEN]
-    watch, seen = (clock, [bent[name] for name in angles]) if angles else (t, [pose["x"], pose["y"]])
-    near = np.searchsorted(watch, [(t[a] - FROZEN, t[b - 1] + FROZEN) for a, b in short]).reshape(-1, 2)
-    moves = [any(np.ptp(v[i:j]) > (2 * DRIVEN if angles else RELEASED) for v in seen if i < j) for i, j in near]
-    rows = sum(b - a - 1 for (a, b), moving in zip(short, moves, strict=True) if moving)
+    rows = sum(b - a - 1 for a, b in _of_a_swim(trial, short))
     steps = np.abs(np.diff(np.stack([np.asarray(pose[name], float) for name in ("x", "y", "yaw")])))
     if bounds.stale < 1 and rows >= max(OFTEN, OLD * len(t)) and not is_coarse(steps):
         text = (
@@ -289,6 +289,40 @@ def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             " poses by the camera's own clock"
         )
         yield NOTE, text
+
+
+def _interpolated_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    pose = trial.tables.get("pose", {})
+    if bounds.stale >= 1 or not is_sound(pose, ["t", "x", "y", "yaw"]) or len(pose["t"]) < 20:
+        return
+    t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
+    values = np.stack([np.asarray(pose["x"], float), np.asarray(pose["y"], float), yaw])
+    off = np.abs([_between(t, column, 1) for column in values])
+    usual, steps = np.quantile(off, 0.9, axis=1, keepdims=True), np.abs(np.diff(values))
+    digit = np.min(np.where(steps > 0, steps, np.inf), axis=1, keepdims=True)  # in which filled rows are rounded
+    near = np.maximum(LINE * usual, np.minimum(1.1 * digit, ROUNDED * usual))
+    goes = steps[:2].any(0)
+    line = np.r_[False, (off <= near).all(0) & goes[1:] & goes[:-1], False]
+    edges = np.flatnonzero(np.diff(line)) + 1
+    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= FILLED or line.mean() > RESAMPLED]
+    rows = sum(b - a for a, b in _of_a_swim(trial, runs))
+    if rows >= max(OFTEN, OLD * len(t)) and not is_coarse(off):
+        text = (
+            f"pose: {rows} of {len(t)} rows lie on straight lines between others, first at t = {t[runs[0][0]]:.3f} s, while the"
+            " fish swims, and are read as measured: were they interpolated? Leave these cells blank, or import the camera's own"
+            " rows with their own stamps"
+        )
+        yield NOTE, text
+
+
+def _of_a_swim(trial: Trial, runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Those of some runs of rows of `pose`, (first, end), near which the joints move, or without joints the fish."""
+    pose, bent = trial.tables["pose"], trial.tables.get("joint", trial.tables.get("cmd", {}))
+    angles = [bent[name] for name in bent if name[0] in "jc" and name[1:].isdecimal()]
+    clock, seen, least = (bent["t"], angles, 2 * DRIVEN) if angles else (pose["t"], [pose["x"], pose["y"]], RELEASED)
+    t = np.asarray(pose["t"], float)
+    near = np.searchsorted(clock, [(t[a] - FROZEN, t[b - 1] + FROZEN) for a, b in runs]).reshape(-1, 2)
+    return [run for run, (i, j) in zip(runs, near, strict=True) if any(np.ptp(v[i:j]) > least for v in seen if i < j)]
 
 
 def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:

@@ -86,6 +86,7 @@ _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"
 BODY = set("bl bls bodylength bodylengths l".split()) | {"body length", "body lengths"}
 RARE = set("rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn".split())  # taken where a name says so, only
 LONG = ("min", "h", "day")  # of stamps; a name that ends with one means another thing as often
+TURNS_OF = ((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad"))  # by their wrap, asked
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 130.0  # deg; a joint beyond is counted in ticks, or from its servo's end
@@ -207,6 +208,9 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
         return "rad", f"wraps by {jump:.3g}"
     if 300 < jump <= 361:
         return "deg", f"wraps by {jump:.3g}"
+    for turn, unit in TURNS_OF:
+        if 0.9 * turn < jump <= 1.003 * turn and np.ptp(values) <= 1.003 * turn:
+            return "", f"wraps by {jump:.4g}: {unit}?"
     if most == 0:
         return "rad", "all zero"
     if most <= 3.2:

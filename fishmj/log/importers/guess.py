@@ -274,8 +274,9 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
             fits = ("deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
-            if what == "time" and (long := [u for u in column_units.LONG if u in why.split()]):
-                fits = (*column_units.likely(what), *long)
+            asked = re.split(r"[ ?]", why) if what in ("time", "angle") else []
+            if rare := [u for u in asked if u in column_units.RARE and column_units.measures(u) == what]:
+                fits = (*(column_units.likely(what) if what == "time" else ()), *rare)
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}", fits=fits))
     return [g.unclear(kind.doubt(g.column)) if g.state == TAKEN and not g.said and kind.doubt(g.column) else g for g in out]
 
