@@ -112,3 +112,20 @@ def test_stamps_in_another_unit_than_seconds_are_refused(tmp_path):
 def test_column_of_a_position_servo_is_a_position():
     found = guess_columns(["time", "hip_pos", "hip_pos_target", "hip_torque"], ("hip",), ("hip",), torques=False)
     assert found.joint["hip"].column == "hip_pos" and found.actuator["hip"].column == "hip_pos_target"
+
+
+def test_a_slow_encoder_is_read_once_and_blank_rows_are_counted(tmp_path):
+    """Held values were read as measurements, each up to four rows old; rows of a blank went without a word."""
+    t = 0.004 * np.arange(1000)
+    held = (np.arange(1000) // 5) * 5
+    rows = ["t,cmd_shoulder,cmd_elbow,pos_shoulder,pos_elbow"]
+    for i, k in enumerate(held):
+        sent = "" if 100 <= i < 130 else f"{np.sin(9 * t[i]):.6f}"
+        rows.append(f"{t[i]:.4f},{sent},{np.cos(7 * t[i]):.6f},{np.sin(5 * t[k]):.6f},{np.cos(6 * t[k]):.6f}")
+    (tmp_path / "arm.csv").write_text("\n".join(rows) + "\n")
+    table = read_sheet(tmp_path / "arm.csv")
+    columns = guess_columns(list(table.columns), ["shoulder", "elbow"], ["shoulder", "elbow"], torques=True)
+    (trial,), _ = read_robot_logs([tmp_path / "arm.csv"], columns)
+    np.testing.assert_allclose(trial.tables["joint"]["t"], t[::5])
+    assert "arm: cmd: 30 of 1000 rows left out, blank in one of the columns" in trial.notes
+    assert any("joint: each value stands in 5 rows: 50 Hz written at 250 Hz" in note for note in trial.notes)

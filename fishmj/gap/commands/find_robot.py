@@ -45,6 +45,7 @@ from fishmj.log import Trial, stacked
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
 AGAIN = "the same command begins anew"
+MOST_SAID = 10  # notes on logs that are printed
 
 
 def find(args: Any) -> int:
@@ -74,7 +75,9 @@ def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dic
     robot = read_robot(robot_file(args.model))
     files = log_files(args.data)
     trials, broken = read_robot_logs(files, columns_of(args, robot, files))
-    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items())):
+    said = list(dict.fromkeys(note for trial in trials for note in trial.notes))
+    more = [f"{len(said) - MOST_SAID} more notes on logs"] if len(said) > MOST_SAID else []
+    for note in (*robot.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *said[:MOST_SAID], *more):
         console.warn(note)
     if trials:
         console.say(ranges_of(robot, trials))

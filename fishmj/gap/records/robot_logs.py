@@ -39,6 +39,7 @@ from fishmj.log.importers.gather import is_recording, read_sheets
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare
 from fishmj.log.trial import readings_sha256
+from fishmj.log.unread_rows import fresh_rows, is_coarse
 
 INFO = Path("meta") / "info.json"  # of a LeRobot data set
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz", ".pt")
@@ -348,11 +349,11 @@ def read_sheet(path: Path) -> LogTable:
 
 
 def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
-    """One log: commands by actuator (c#) and positions by joint (j#), SI.
+    """One log: commands by actuator (c#) and positions by joint (j#), SI; each value of a slow encoder once, at its first row.
 
     Raises LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
-    tables = {}
+    tables, notes = {}, [note for sheet in table.sheets for note in sheet.notes]
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
         if not part:
             continue
@@ -372,10 +373,14 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
             raise LogError(
                 f"{table.where}: a row every {step:.4g} s; is it s? State the unit in a map, --columns MAP.toml: {line}"
             )
-        tables[key] = {"t": t[keep], **numbered(template, values[keep])}
+        found = {"t": t[keep], **numbered(template, values[keep])}
+        rows, told = fresh_rows(key, found) if not is_coarse(np.abs(np.diff(values[keep], axis=0)).T) else (slice(None), [])
+        tables[key] = {name: column[rows] for name, column in found.items()}
+        blank = f"{key}: {len(keep) - int(keep.sum())} of {len(keep)} rows left out, blank in one of the columns"
+        notes += [f"{table.name}: {note}" for note in ([] if keep.all() else [blank]) + told]
     if columns.base:
         tables["joint"] = _posed(table, columns, tables.get("joint"))
-    return Trial({}, tables, name=table.name, notes=tuple(note for sheet in table.sheets for note in sheet.notes))
+    return Trial({}, tables, name=table.name, notes=tuple(notes))
 
 
 def _posed(table: LogTable, columns: RobotColumns, joint: dict | None) -> dict[str, np.ndarray]:
