@@ -301,8 +301,8 @@ def _interpolated_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, s
     usual, steps = np.quantile(off, 0.9, axis=1, keepdims=True), np.abs(np.diff(values))
     digit = np.min(np.where(steps > 0, steps, np.inf), axis=1, keepdims=True)  # in which filled rows are rounded
     near = np.maximum(LINE * usual, np.minimum(1.1 * digit, ROUNDED * usual))
-    goes = steps[:2].any(0)
-    line = np.r_[False, (off <= near).all(0) & goes[1:] & goes[:-1], False]
+    goes = np.any(steps[:2] > 0, axis=0)
+    line = np.r_[False, np.all(off <= near, axis=0) & goes[1:] & goes[:-1], False]
     edges = np.flatnonzero(np.diff(line)) + 1
     runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= FILLED or line.mean() > RESAMPLED]
     rows = sum(b - a for a, b in _of_a_swim(trial, runs))

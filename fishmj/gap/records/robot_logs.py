@@ -374,10 +374,10 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
                 f"{table.where}: a row every {step:.4g} s; is it s? State the unit in a map, --columns MAP.toml: {line}"
             )
         found = {"t": t[keep], **numbered(template, values[keep])}
-        rows, told = fresh_rows(key, found) if not is_coarse(np.abs(np.diff(values[keep], axis=0)).T) else (slice(None), [])
+        rows, slow = fresh_rows(key, found) if not is_coarse(np.abs(np.diff(values[keep], axis=0)).T) else (slice(None), [])
         tables[key] = {name: column[rows] for name, column in found.items()}
         blank = f"{key}: {len(keep) - int(keep.sum())} of {len(keep)} rows left out, blank in one of the columns"
-        notes += [f"{table.name}: {note}" for note in ([] if keep.all() else [blank]) + told]
+        notes += [f"{table.name}: {note}" for note in ([] if keep.all() else [blank]) + slow]
     if columns.base:
         tables["joint"] = _posed(table, columns, tables.get("joint"))
     return Trial({}, tables, name=table.name, notes=tuple(notes))
