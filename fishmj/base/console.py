@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, NoReturn
 from fishmj.base import interrupt, terminal
 from fishmj.base.errors import DescriptionError, FishmjError, UnknownName, UsageError
 from fishmj.base.options import SEED as SEED
-from fishmj.base.options import SHOWN, shown
+from fishmj.base.options import SHOWN, shown, unlisted
 from fishmj.base.options import TURN as TURN
 from fishmj.base.options import Distinct as Distinct
 from fishmj.base.options import Listed as Listed
@@ -256,10 +256,7 @@ class Parser(argparse.ArgumentParser):
 
     def _check_value(self, action, value) -> None:
         if action.choices is not None and value not in action.choices:
-            known = [str(c) for c in action.choices]
-            near = get_close_matches(str(value), known, 1, 0.5)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise argparse.ArgumentError(action, f"got {shown(str(value))}.{hint} Known: {', '.join(known)}")
+            raise argparse.ArgumentError(action, unlisted(str(value), [str(c) for c in action.choices]))
 
 
 def parser(verb: str, summary: str, *, json: bool = True, examples: str | None = None) -> Parser:
@@ -387,14 +384,14 @@ def emit_json(value: Any) -> None:
 
 def plain(value: Any) -> Any:
     """Converts a value to JSON's own types. Needs no NumPy, so that `doctor` runs where it is missing."""
+    if hasattr(value, "tolist"):  # NumPy and JAX, scalars too
+        return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # NumPy and JAX, scalars too
-        return plain(value.tolist())
     if isinstance(value, Iterable):
         return [plain(item) for item in value]
     return str(value)

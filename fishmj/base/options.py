@@ -9,7 +9,7 @@ import argparse
 import math
 import re
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
@@ -27,6 +27,13 @@ SHOWN = 60  # characters of an argument that an error repeats
 def shown(text: str, most: int = SHOWN) -> str:
     """Shortened argument for an error message."""
     return repr(text if len(text) <= most else f"{text[: most - 3]}...")
+
+
+def unlisted(text: str, known: Sequence[str], listed: str = "") -> str:
+    """Message for a value that is none of `known`, with the nearest of them; listed: what there is, in other words."""
+    near = get_close_matches(text, known, 1, 0.5)
+    hint = f" Did you mean {near[0]!r}?" if near else ""
+    return f"got {shown(text)}.{hint} Known: {listed or ', '.join(known)}"
 
 
 @dataclass(frozen=True)
@@ -306,9 +313,7 @@ class OneOf:
 
     def __call__(self, text: str) -> str:
         if text not in self.known:
-            near = get_close_matches(text, self.known, 1, 0.5)
-            hint = f" Did you mean {near[0]!r}?" if near else ""
-            raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {', '.join(self.known)}")
+            raise argparse.ArgumentTypeError(unlisted(text, self.known))
         return text
 
     def holds(self, value: Any) -> bool:
@@ -347,9 +352,7 @@ def devices(text: str) -> str:
 
 def _device(text: str, known: str) -> str:
     if not re.fullmatch(_DEVICE, text):
-        near = get_close_matches(text, ("auto", "cpu", "cuda"), 1, 0.5)
-        hint = f" Did you mean {near[0]!r}?" if near else ""
-        raise argparse.ArgumentTypeError(f"got {shown(text)}.{hint} Known: {known}")
+        raise argparse.ArgumentTypeError(unlisted(text, ("auto", "cpu", "cuda"), known))
     return text
 
 

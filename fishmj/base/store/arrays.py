@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj.base.console import plain
 from fishmj.base.errors import StoreError
 from fishmj.base.plain_file import why_unreadable
-from fishmj.base.store.atomic import plain, write_bytes
+from fishmj.base.store.atomic import write_bytes
 
 UNPACKED = 2**28  # bytes that one archive may hold; more where FISHMJ_MAX_UNPACKED says so
 MEMBERS = 10_000

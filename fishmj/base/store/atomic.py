@@ -7,7 +7,6 @@ a full disk also says how many bytes were needed.
 
 import errno
 import json
-import math
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -15,9 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fishmj.base import interrupt
+from fishmj.base.console import plain
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store.temporary import temporary_beside
@@ -97,21 +95,6 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def plain(value):
-    """Converts `value` to strict JSON types, from NumPy scalars and arrays, tuples, paths and dataclass-free dicts."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, Path) else value
 
 
 def read_json(path: str | Path):

@@ -92,12 +92,19 @@ def _stepped(engine, state, commands, params, current, tick, chunks):
     return run, "cpu"
 
 
+def on_device(tree):
+    """The tree on JAX's device, its floats in single precision."""
+    import jax
+
+    single = lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a
+    return jax.device_put(jax.tree.map(single, tree))
+
+
 def _compiled(engine, state, commands, params, current, tick, chunks):
     import jax
     from jax import lax
 
-    single = lambda tree: jax.tree.map(lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a, tree)
-    state, commands, params, current = (jax.device_put(single(part)) for part in (state, commands, params, current))
+    state, commands, params, current = on_device((state, commands, params, current))
 
     @jax.jit
     def swim(state, commands, params, current, tick):

@@ -25,6 +25,7 @@ import numpy as np
 
 from fishmj.base.errors import FishmjError
 from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
+from fishmj.evaluate.bench.engines import on_device
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
 FISH_COMPILED = 4096
@@ -155,8 +156,7 @@ def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> B
     if getattr(engine, "jittable", False):
         import jax
 
-        single = lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a
-        given, advance = jax.device_put(jax.tree.map(single, given)), jax.jit(engine.advance)
+        given, advance = on_device(given), jax.jit(engine.advance)
         where = jax.devices()[0].device_kind
     tick = np.zeros(fish, np.int32)
     return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)

@@ -304,17 +304,8 @@ class _StepRequest:
 @benchmark("oracle_peer_cpu", "MLUPS", baseline=xlb)
 def oracle_peer_cpu(quick: bool) -> BenchmarkWork:
     """The fluid alone in the laptop's box on the CPU, no eddy viscosity, beside XLB's."""
-    import warp as wp
-
     from fishmj.lbm_oracle.fluid.fluid import Fluid
     from fishmj.lbm_oracle.fluid.lattice import Lattice
 
     water = Fluid(Lattice(dx=0.02, dt=0.004, nu=2e-5), PEER_SHAPE, "cpu", subgrid="none", keep_velocity=False)
-    steps = PEER_QUICK if quick else PEER_STEPS
-
-    def run():
-        water.run(steps)
-        wp.synchronize_device("cpu")
-
-    run()
-    return BenchmarkWork(run, steps * water.cells / MEGA, f"cpu, {water.threads} slabs")
+    return _stepped(water, PEER_QUICK if quick else PEER_STEPS, "cpu", water.cells / MEGA)

@@ -15,6 +15,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import FishmjError
 from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark, oracle
 from fishmj.evaluate.bench import hydro as water
+from fishmj.evaluate.bench.engines import on_device
 
 FISH, FISH_MJX, FISH_CPU, FISH_QUICK = 2**17, 2**14, 1024, 64
 CHUNKS = 10  # control steps a run, in one compiled scan
@@ -57,8 +58,7 @@ def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **optio
     wide = lambda a: np.repeat(a, fish, 0)
     current = still._replace(**{key: wide(getattr(still, key)) for key in ("mean", "rms", "row", "offset", "turn")})
     school = (engines.at_rest(robot, np.zeros((fish, 3))), engines.nominal_params(robot, fish), current)
-    single = lambda a: np.asarray(a, np.float32) if np.asarray(a).dtype == float else a
-    state, params, current = jax.device_put(jax.tree.map(single, school))
+    state, params, current = on_device(school)
 
     @jax.jit
     def swim(state, params, current, beat):

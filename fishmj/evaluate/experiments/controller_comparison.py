@@ -10,7 +10,7 @@ from fishmj.base.figures import canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
 from fishmj.evaluate import metrics
-from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, rounded, series_row
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, error_bars, figures_row, read, rounded, series_row
 from fishmj.evaluate.experiments.paper_experiment import (
     ExperimentFindings,
     ExperimentPart,
@@ -237,9 +237,7 @@ def bars(rows: dict[str, Row]) -> bytes:
     figure, axes = canvas(1, len(keys), (14, 0.34 * len(rows) + 1.2), sharey=True)
     place = -np.arange(len(rows))
     for axis, key in zip(axes[0], keys, strict=True):
-        some = [metrics.estimate("", read(row["figures"][key])) for row in rows.values()]
-        middle = np.array([e.value for e in some])
-        ends = np.nan_to_num(np.abs(np.array([[e.low, e.high] for e in some]).T - middle))
+        middle, ends = error_bars([row["figures"][key] for row in rows.values()])
         axis.errorbar(middle[1:], place[1:], xerr=ends[:, 1:], fmt="o", color=COLOURS[0], capsize=3)
         axis.errorbar(middle[:1], place[:1], xerr=ends[:, :1], fmt="o", color=COLOURS[1], capsize=3)
         axis.set(xlabel=f"{DECIDING.get(key, key)} [{'share' if key == 'arrival' else metrics.UNITS[key]}]")

@@ -63,6 +63,13 @@ def compared(what: str, paper: str, values: Any, unit: str = "", *, digits: int 
     return PaperFinding(what, paper, f"{text} {unit}".strip(), *found[:4])
 
 
+def error_bars(samples: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Means (n,) of n samples, and how far their intervals reach below and above (2, n); 0 where there is none."""
+    some = [metrics.estimate("", read(values)) for values in samples]
+    middle = np.array([e.value for e in some])
+    return middle, np.nan_to_num(np.abs(np.array([[e.low, e.high] for e in some]).T - middle))
+
+
 def counted(what: str, paper: str, flags: Sequence[Any] | np.ndarray) -> PaperFinding:
     """Finding of the number of trials for which a flag holds, with Wilson's interval of the share."""
     from scipy.stats import binomtest

@@ -7,7 +7,7 @@ from fishmj.base.figures import GREY, ORANGE, VERMILION, canvas, png, style
 from fishmj.base.pages import drawn
 from fishmj.control.cpg import Cpg, Rates
 from fishmj.evaluate import metrics
-from fishmj.evaluate.experiments.experiment_figures import compared, read, rounded
+from fishmj.evaluate.experiments.experiment_figures import compared, error_bars, read, rounded
 from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import FAINT, STYLE
@@ -94,9 +94,7 @@ def picture(rows: dict[str, Row]) -> bytes:
     axis, speeds = axes[0, 0], np.array(next(iter(rows.values()))["speed"])
     axis.axhspan(*constant("rheotaxis", "plateau"), color=FAINT, alpha=0.5, label="plateau of the paper", linewidth=0)
     for (name, row), colour in zip(rows.items(), (VERMILION, GREY, ORANGE), strict=True):
-        some = [metrics.estimate("", read(row["cosine"])[speeds == speed]) for speed in np.unique(speeds)]
-        middle = np.array([e.value for e in some])
-        ends = np.abs(np.array([[e.low, e.high] for e in some]).T - middle)
+        middle, ends = error_bars([read(row["cosine"])[speeds == speed] for speed in np.unique(speeds)])
         axis.errorbar(100 * np.unique(speeds), middle, ends, color=colour, marker="o", capsize=3, linewidth=2, label=drawn(name))
     axis.set(xlabel="flow speed [cm/s]", ylabel="rheotactic index", ylim=(-1, 1.05))
     axis.legend(frameon=False, loc="lower right")

@@ -8,8 +8,7 @@ import numpy as np
 from fishmj.base.calib import constant
 from fishmj.base.figures import canvas, png, style
 from fishmj.base.pages import drawn
-from fishmj.evaluate import metrics
-from fishmj.evaluate.experiments.experiment_figures import compared, counted, figures_row, read, series_row
+from fishmj.evaluate.experiments.experiment_figures import compared, counted, error_bars, figures_row, read, series_row
 from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, ExperimentPart, ExperimentSetup, PaperExperiment, Row
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import COLOURS, FAINT, STYLE, plain_ticks
@@ -118,9 +117,8 @@ def by_speed(rows: dict[str, Row], brains: list[str]) -> bytes:
     axis = axes[0, 0]
     for brain, colour in zip(brains, COLOURS, strict=False):
         row = rows[f"0 to 0.4 m/s, {brain}"]
-        some = [metrics.estimate("", read(row["figures"]["rmse_last20"])[np.isclose(row["speed"], speed)]) for speed in SPEEDS]
-        middle = np.array([e.value for e in some])
-        ends = np.nan_to_num(np.abs(np.array([[e.low, e.high] for e in some]).T - middle))
+        last = read(row["figures"]["rmse_last20"])
+        middle, ends = error_bars([last[np.isclose(row["speed"], speed)] for speed in SPEEDS])
         axis.errorbar(SPEEDS, middle, ends, color=colour, marker="o", capsize=3, label=drawn(brain))
     axis.axvspan(*constant("task", "flow_speed"), color=FAINT, alpha=0.4, linewidth=0, label="speeds of the paper")
     axis.set(xlabel="flow speed [m/s]", ylabel="RMS distance, last 20 s [m]", yscale="log")

@@ -60,12 +60,8 @@ RENAMED = {"both": "tail"}  # old names
 CONTROL = "none"  # the right water
 RIGHT = {"rmse": GAP, "speed": 0.01}  # m, m/s: most that it may be off; 0.01 is the tolerance of movement at 0.2 m/s
 FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
-MUST, TARGET, WORSE, SHARE = (
-    0.5,
-    0.25,
-    1.05,
-    0.10,
-)  # of the difference that may stay; of figures where nothing is wrong; of the time
+MUST, TARGET = 0.5, 0.25  # of the difference that may stay
+WORSE, SHARE = 1.05, 0.10  # of figures where nothing is wrong; of the time
 LEAST = 0.02  # m/s of the stream: `Flow` cannot be slower than still
 SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "right water", "left", "mended")
 
