@@ -166,6 +166,30 @@ def raising() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextmanager
+def stop_requests(once: bool = False) -> Iterator[list[int]]:
+    """Yields a list that fills on Ctrl-C or SIGTERM, instead of an exception that leaves a step half done.
+
+    once: a second signal raises KeyboardInterrupt. Outside the main thread the caller keeps its own handlers.
+    """
+    asked: list[int] = []
+
+    def hear(number, frame) -> None:
+        if once and asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    old = {}
+    with suppress(ValueError):  # not the main thread
+        for number in (signal.SIGINT, signal.SIGTERM):
+            old[number] = signal.signal(number, hear)
+    try:
+        yield asked
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
 def leave(words: "str | None" = "") -> NoReturn:
     """Prints the last line (None: already printed), ends the children and the process, without the interpreter's own teardown."""
     _leaving.acquire()  # never given back: whoever comes second waits for the end

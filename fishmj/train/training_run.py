@@ -8,7 +8,6 @@ import errno
 import json
 import os
 import shlex
-import signal
 import time
 import warnings
 from collections.abc import Callable
@@ -128,23 +127,12 @@ class Assessment:
 
 @contextmanager
 def stop_on_signal(words: interrupt.Words = str):
-    """Yields a list that fills on Ctrl-C or SIGTERM, instead of an exception in the middle of an update.
+    """Yields the list of `interrupt.stop_requests`, so that no update is left half done.
 
     words: text of `interrupt.finishing`, for an update that takes longer than an interrupt may.
     """
-    asked: list[int] = []
-    old = {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            old[number] = signal.signal(number, lambda n, _: asked.append(n))
-    except ValueError:  # not the main thread: the caller keeps its own handlers
-        pass
-    try:
-        with interrupt.finishing(words):
-            yield asked
-    finally:
-        for number, handler in old.items():
-            signal.signal(number, handler)
+    with interrupt.stop_requests() as asked, interrupt.finishing(words):
+        yield asked
 
 
 def when_there_is_room(write: Callable[[], object], asked: list) -> bool:

@@ -7,10 +7,7 @@ python -m fishmj.lbm_oracle swim --preset laptop --out runs/a --fields runs/a_fi
 Ctrl-C ends the run after the tick that is under way; trial, state and fields up to then are kept.
 """
 
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from math import degrees, radians
 from pathlib import Path
@@ -85,7 +82,8 @@ def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder
         kept: keeps the last sound state.
     """
     start, ticks = time.perf_counter(), round(seconds / run.robot.timing.bus_dt)
-    with console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None) as bar, _stop_requests() as asked:
+    bar = console.Progress(seconds, "swim", unit="s", every=1e9 if quiet else None)
+    with bar, interrupt.stop_requests(once=True) as asked:
         for n in range(ticks + 1):
             try:
                 if recorder:
@@ -117,29 +115,6 @@ def _interrupt_message(args, run: Run) -> str:
     if not args.out or not run.rows:
         return "nothing was kept" + ("" if args.out else ": with --out FOLDER the trial is")
     return f"the trial up to then is in {write_trial(args.out, run.trial(), overwrite=args.overwrite)}"
-
-
-@contextmanager
-def _stop_requests() -> Iterator[list[int]]:
-    """Yields a list that fills on Ctrl-C or SIGTERM, so that no tick is left half done; a second Ctrl-C interrupts at once."""
-    asked: list[int] = []
-
-    def hear(number, frame) -> None:
-        if asked:
-            raise KeyboardInterrupt
-        asked.append(number)
-
-    old = {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            old[number] = signal.signal(number, hear)
-    except ValueError:  # not the main thread: the caller keeps its own handlers
-        pass
-    try:
-        yield asked
-    finally:
-        for number, handler in old.items():
-            signal.signal(number, handler)
 
 
 def _recorder(args, run: Run):
