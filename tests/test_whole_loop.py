@@ -14,6 +14,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import read_json, write_json
 from fishmj.deploy.commands import swim_command
+from fishmj.deploy.loop import graceful_stop
 from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimPlan
 from fishmj.deploy.rig import rig_experiment
 from fishmj.effects.effect_calibration import FittedEffect, Interval
@@ -49,7 +50,7 @@ def test_every_horn_is_turned_to_both_sides_by_a_rule_that_chooses_no_seed():
 
 
 def test_swim_command_runs_in_lockstep_and_records_the_true_path(tmp_path, monkeypatch):
-    monkeypatch.setattr(swim_command, "first_in_line", lambda: pytest.fail("a loop that never waits goes before all others"))
+    monkeypatch.setattr(graceful_stop, "first_in_line", lambda: pytest.fail("a loop that never waits goes before all others"))
     tank, out = Tank(), tmp_path / "swim"
     assert tank.path.shape == (0, 4) and np.isnan(tank.begun)
     words = ["--policy", "station", "--seconds", "2", "--out", str(out), "--loopback", "--seed 4 --start=-0.5,0.1,3"]
@@ -64,7 +65,7 @@ def test_swim_command_runs_in_lockstep_and_records_the_true_path(tmp_path, monke
 
 
 def test_an_experiment_through_the_command_leaves_a_data_set(tmp_path, monkeypatch):
-    monkeypatch.setattr(rig_experiment, "first_in_line", lambda: pytest.fail("a loop that never waits goes before all others"))
+    monkeypatch.setattr(graceful_stop, "first_in_line", lambda: pytest.fail("a loop that never waits goes before all others"))
     words = ["idle", "--repeats", "1", "--yes", "--flow", "0,0", "--out", str(tmp_path / "rig"), "--loopback", "--seed 4"]
     assert rig_experiment.main(words, wire=Tank().wire) == console.OK
     (trial,) = take(tmp_path / "rig/trials").trials.values()

@@ -4,7 +4,7 @@ import gc
 import sys
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 from threading import Event
@@ -18,8 +18,7 @@ from fishmj.base.errors import ConfigError, UsageError
 from fishmj.base.source import made_by
 from fishmj.control.learned import LearnedController
 from fishmj.deploy.loop import arming, wiring
-from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
-from fishmj.deploy.loop.graceful_stop import graceful_stop
+from fishmj.deploy.loop.graceful_stop import steering
 from fishmj.deploy.loop.open_loop_experiment import SineGait
 from fishmj.deploy.loop.pilot import Pilot, PlayedPilot, PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
@@ -167,7 +166,9 @@ def _swum(
         )  # fmt: skip
         log = stack.enter_context(TrialLog(out, meta_of(args, robot, controller, wired), robot.n_joints))
         if args.ros:
-            stack.enter_context(wiring.published(args.ros, log))
+            from fishmj.deploy.link.ros import RosPublisher
+
+            stack.enter_context(RosPublisher(args.ros, log))
         for warning in target_warnings(args.target, args.bound, wired.calibration):
             console.warn(warning)
         stop = Event()
@@ -181,9 +182,7 @@ def _swum(
             log.close("interrupted")
             return f"what was swum is in {out}"
 
-        in_real_time = isinstance(wired.clock, MonotonicClock)  # a loop that never waits would keep everything else waiting
-        ahead = first_in_line() if in_real_time else nullcontext(False)
-        with graceful_stop(stop, lambda: wired.link.disarm(wired.clock.now()), kept), ahead as first:
+        with steering(wired.link, wired.clock, stop, kept) as first:
             log.meta["host"]["first_in_line"] = first
             return swim.run()
 

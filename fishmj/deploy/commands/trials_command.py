@@ -3,7 +3,7 @@
 import shlex
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -26,8 +26,7 @@ from fishmj.deploy.commands.swim_command import (
     warn_of_training,
 )
 from fishmj.deploy.loop import arming, wiring
-from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
-from fishmj.deploy.loop.graceful_stop import graceful_stop
+from fishmj.deploy.loop.graceful_stop import steering
 from fishmj.deploy.loop.pilot import PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimOutcome, SwimPlan
@@ -247,8 +246,7 @@ class Walk:
                 stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, process=self.monitor))
             plan = SwimPlan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = SwimLoop(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
-            ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)
-            with undisturbed(), graceful_stop(self.stop, lambda: link.disarm(clock.now()), self._kept), ahead:
+            with undisturbed(), steering(link, clock, self.stop, self._kept):
                 return swim.run()
 
 

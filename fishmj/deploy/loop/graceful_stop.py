@@ -8,10 +8,12 @@ Nothing else ends the process in between.
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from threading import Event
 
 from fishmj.base import interrupt
+from fishmj.deploy.link.links import RobotLink
+from fishmj.deploy.loop.clock import Clock, MonotonicClock, first_in_line
 
 GRACE = 6.0  # s: joints to zero 2.0, letting go 0.2, writing the log of a long swim; it ends as soon as all that is done
 TIMES = 5  # that a robot is told to let go where nothing waits for its answer
@@ -19,8 +21,8 @@ APART = 0.01  # s between them
 
 
 @contextmanager
-def graceful_stop(stop: Event, let_go: Callable[[], object], words: Callable[[], str], grace: float = GRACE) -> Iterator[None]:
-    """Context in which a signal sets `stop`; the loop that reads it has `grace` s to end.
+def graceful_stop(stop: Event, let_go: Callable[[], object], words: Callable[[], str]) -> Iterator[None]:
+    """Context in which a signal sets `stop`; the loop that reads it has `GRACE` s to end.
 
     Args:
         let_go: requests torque off once, now; called from another thread if the loop does not end by itself.
@@ -33,5 +35,16 @@ def graceful_stop(stop: Event, let_go: Callable[[], object], words: Callable[[],
                 let_go()
             time.sleep(APART)
 
-    with interrupt.finishing(words, grace=grace, heard=stop.set, last=last):
+    with interrupt.finishing(words, grace=GRACE, heard=stop.set, last=last):
         yield
+
+
+@contextmanager
+def steering(link: RobotLink, clock: Clock, stop: Event, words: Callable[[], str]) -> Iterator[bool]:
+    """Context of a loop that steers a robot: `graceful_stop`, and before other threads. Yields True if the system permits that.
+
+    In lockstep it does not go before the others: a loop that never waits would keep everything else waiting.
+    """
+    ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)
+    with graceful_stop(stop, lambda: link.disarm(clock.now()), words), ahead as first:
+        yield first

@@ -383,10 +383,3 @@ def bands(text: str) -> Bands:
     if len(pairs) < 2 or any(len(pair) != 2 for pair in pairs):
         raise ArgumentTypeError(f"got {text[:60]!r}, expected X:WIDTH,X:WIDTH such as 0.05:0.058,0.175:0.012 (m)")
     return tuple((console.number(-2, 2)(x), console.number(0, 1)(width)) for x, width in pairs)
-
-
-def published(where: tuple[str, int], log: Any) -> Any:
-    """A ROS publisher of the log's rows. Raises MissingExtra, ConfigError."""
-    from fishmj.deploy.link.ros import RosPublisher
-
-    return RosPublisher(where, log)

@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from functools import cache
 from math import inf
 from pathlib import Path
@@ -14,8 +14,8 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import Manifest
 from fishmj.deploy.commands.swim_command import flow
 from fishmj.deploy.loop import arming, wiring
-from fishmj.deploy.loop.clock import MonotonicClock, first_in_line
-from fishmj.deploy.loop.graceful_stop import graceful_stop
+from fishmj.deploy.loop.clock import MonotonicClock
+from fishmj.deploy.loop.graceful_stop import steering
 from fishmj.deploy.loop.open_loop_experiment import REPEATS, SESSIONS, ExperimentRun, meta_of, placing, play, runs, unpoliced
 from fishmj.deploy.loop.swim_loop import Rig, SwimOutcome
 from fishmj.deploy.rig.rig_prompt import Person
@@ -86,7 +86,7 @@ def main(argv: list[str], wire: Wire | None = None) -> int:
         if stop.is_set():
             break
         console.say(f"{number + 1} of {len(todo)}: {run.name}, {run.what.seconds:.1f} s ({run.what.about})")
-        with interrupt.keeping(kept):  # while the robot swims, `graceful_stop` stands within
+        with interrupt.keeping(kept):  # while the robot swims, `steering` stands within
             trial, outcome = _played(args, robot, run, free_name(raw, run.name), person, at_the_tank, stop, kept, wire)
             why = outcome.words
             held += [run.name] if outcome.released is False else []
@@ -160,8 +160,7 @@ def _played(
         if not args.yes:
             person.hands_off(clock)
             wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
-        ahead = first_in_line() if isinstance(clock, MonotonicClock) else nullcontext(False)  # lockstep never waits
-        with graceful_stop(stop, lambda: link.disarm(clock.now()), words), ahead:
+        with steering(link, clock, stop, words):
             outcome, trial = play(
                 rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=stop.is_set, bound=args.bound or inf
             )
