@@ -24,6 +24,7 @@ from fishmj.base import calib, console
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import FishmjError
 from fishmj.base.renderer import CHOICES
+from fishmj.base.source import version
 
 MARKS = {"ok": "ok  ", "note": "note", "no": "no  ", "bad": "BAD "}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -184,14 +185,6 @@ def _core(name: str, wanted: str, found: str | None, fits: bool) -> DoctorFindin
         return DoctorFinding("core", name, "ok", str(found))
     got = f"found {found}" if found else "missing"
     return DoctorFinding("core", name, "bad", f'{got}, needs {wanted}: pip install "{name}{wanted}"')
-
-
-def version(name: str) -> str | None:
-    """Installed version of a distribution, or None."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 # machine

@@ -3,7 +3,7 @@
 import hashlib
 import subprocess
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib import metadata
 from pathlib import Path
 
 from fishmj import __version__
@@ -37,11 +37,13 @@ def commit() -> str:
 
 def made_by(*packages: str) -> dict:
     """The keys `versions` and `commit` of the meta data of a trial that fishmj makes, with the versions of `packages`."""
-    return {"versions": {"fishmj": __version__, **{name: _version(name) for name in packages}}, "commit": commit()}
+    versions = {name: version(name) or "not installed" for name in packages}
+    return {"versions": {"fishmj": __version__, **versions}, "commit": commit()}
 
 
-def _version(package: str) -> str:
+def version(package: str) -> str | None:
+    """Installed version of a distribution, or None."""
     try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,11 +1,10 @@
 """`fishmj deploy doctor`: checks this computer for a swim: packages, serial lines, cameras, the loop's own timing."""
 
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from fishmj.base import console
+from fishmj.base import console, source
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.deploy.camera.cameras import Device
 from fishmj.deploy.link.transports import serial_devices
@@ -59,12 +58,7 @@ def required() -> list[str]:
 def version(package: str) -> str | None:
     """Version of an installed package, or None; OpenCV counts under any of its names."""
     names = (package, "opencv-python", "opencv-contrib-python") if package.startswith("opencv") else (package,)
-    for name in names:
-        try:
-            return metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return None
+    return next((found for name in names if (found := source.version(name))), None)
 
 
 def cameras() -> list[str]:

@@ -15,8 +15,9 @@ from statistics import median
 from typing import NamedTuple
 
 from fishmj.base.cores import usable_cores
-from fishmj.base.doctor import processor, version
+from fishmj.base.doctor import processor
 from fishmj.base.errors import MissingExtra, UnknownName
+from fishmj.base.source import version
 
 
 class BenchmarkWork(NamedTuple):
