@@ -10,27 +10,11 @@ from fishmj.base import console, cost, interrupt, ray_cluster
 from fishmj.base.errors import ConfigError, FishmjError, MissingExtra
 from fishmj.control.own_controller import Own
 from fishmj.engines import own_effects, tank_effects
-from fishmj.evaluate import protocol
+from fishmj.evaluate import protocol, trial_report
 from fishmj.evaluate.judge_over_ray import judge_over_ray, with_corrections
 from fishmj.evaluate.metrics import Result, compare, summary
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_each_in_solver, run
-from fishmj.evaluate.trial_report import (
-    CORRECTED,
-    STARRED,
-    by_condition,
-    condition,
-    conditions_of,
-    corrected,
-    corrections,
-    energy_rows,
-    not_as_trained,
-    overall,
-    paired,
-    provenance,
-    save,
-    unbounded,
-    write,
-)  # fmt: skip
+from fishmj.evaluate.trial_logs import corrections
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option, reference_option
@@ -179,7 +163,7 @@ def main(argv: list[str]) -> int:
             for found in judge_in_tanks(brains, robot, trials, args):
                 results.append(found._replace(left_out=tuple(args.leave_out)))
                 if args.out is not None and len(results) < len(brains):
-                    save(args.out, results, findings(results, args))
+                    trial_report.save(args.out, results, findings(results, args))
             return report(results, args)
     args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
     family = choice.family_in(robot) if args.no_randomisation else None
@@ -229,7 +213,7 @@ def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
     for brain, result in judge_each(waiting, robot, trials, args) if waiting else ():
         found[brain.name] = kept.keep(brain, result)
         if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
-            save(args.out, ours(), findings(ours(), args) | {"unfinished": kept.unfinished})
+            trial_report.save(args.out, ours(), findings(ours(), args) | {"unfinished": kept.unfinished})
     return ours()
 
 
@@ -322,13 +306,13 @@ def judge_in_tanks(brains, robot, trials, args) -> Iterator[Result]:
 
 def findings(results: list[Result], args) -> dict:
     """Content of results.json."""
-    a = results[0]
+    a, corrected = results[0], {r.controller: corrections(r) for r in results if r.corrections is not None}
     return {
-        "condition": condition(a),
+        "condition": trial_report.condition(a),
         **({"left_out": list(a.left_out)} if a.left_out else {}),
         "command": shlex.join(["fishmj", "evaluate", *args.argv]),
-        "results": [summary(r) | provenance(r, args.argv, args.controllers, k) for k, r in enumerate(results)],
-        **({"hybrid": found} if (found := {r.controller: corrections(r) for r in results if r.corrections is not None}) else {}),
+        "results": [summary(r) | trial_report.provenance(r, args.argv, args.controllers, k) for k, r in enumerate(results)],
+        **({"hybrid": corrected} if corrected else {}),
         "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
     }
 
@@ -337,9 +321,10 @@ def report(results: list[Result], args) -> int:
     """Writes the requested files, then prints the tables, also if a part of the report could not be written."""
     from fishmj.view.replay import write_html
 
-    found, replay = findings(results, args), write_html if args.log else None
+    found = findings(results, args)
+    parts = {"plots": args.plots, "logs": args.log, "replay": write_html if args.log else None, "again": args.again}
     try:
-        written = args.out and write(args.out, results, found, plots=args.plots, logs=args.log, replay=replay, again=args.again)
+        written = args.out and trial_report.write(args.out, results, found, **parts)
     finally:
         say_tables(results, found["results"])
     if written:
@@ -351,18 +336,20 @@ def report(results: list[Result], args) -> int:
 
 def say_tables(results: list[Result], summaries: list[dict]) -> None:
     """Prints the figures of all controllers."""
-    console.say("", condition(results[0]), *not_as_trained(summaries), "value (95 % bootstrap interval over trials)", "")
-    console.say(console.table(overall(summaries)), "")
-    console.say(*map(console.table, energy_rows(summaries)), *unbounded(summaries))
+    head = [trial_report.condition(results[0]), *trial_report.not_as_trained(summaries)]
+    console.say("", *head, "value (95 % bootstrap interval over trials)", "")
+    console.say(console.table(trial_report.overall(summaries)), "")
+    console.say(*map(console.table, trial_report.energy_rows(summaries)), *trial_report.unbounded(summaries))
     for s in summaries:
-        for which, what in conditions_of(s).items():
-            console.say("", f"{s['controller']} {what}", console.table(by_condition(s, which)))
+        for which, what in trial_report.conditions_of(s).items():
+            console.say("", f"{s['controller']} {what}", console.table(trial_report.by_condition(s, which)))
     for r in results:
         if r.corrections is not None:
-            console.say("", f"{r.controller}: {CORRECTED}", console.table(corrected(r)))
+            console.say("", f"{r.controller}: {trial_report.CORRECTED}", console.table(trial_report.corrected(r)))
     for other in results[1:]:
         what = f"{other.controller} minus {results[0].controller}"
-        console.say("", f"paired over the same trials: {what}; {STARRED}", console.table(paired(results[0], other)))
+        rows = trial_report.paired(results[0], other)
+        console.say("", f"paired over the same trials: {what}; {trial_report.STARRED}", console.table(rows))
 
 
 if __name__ == "__main__":

@@ -267,13 +267,7 @@ class Variation(NamedTuple):
 UNCHANGED = Variation()
 
 
-def judge_in_solver(
-    brain,
-    robot: Robot,
-    trials: Trials,
-    folder: Path | None = None,
-    **options: Any,
-) -> Result:
+def judge_in_solver(brain, robot: Robot, trials: Trials, folder: Path | None = None, **options: Any) -> Result:
     """Judges one controller in the flow solver; options and errors as `judge_each_in_solver`."""
     (result,) = judge_each_in_solver([brain], robot, trials, folder, **options)
     return result

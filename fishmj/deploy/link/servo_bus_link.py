@@ -18,9 +18,8 @@ from fishmj.deploy.protocols.messages import ServoFault, Telemetry
 from fishmj.deploy.protocols.servo_bus import BUSES, ServoBus, ServoReply
 
 RETRIES = 2
-ANSWER = (
-    0.003  # s that a servo has: USB adapters hold bytes back for 1 to 2 ms (an FTDI chip only with its latency timer at 1 ms)
-)
+# s that a servo has: USB adapters hold bytes back for 1 to 2 ms (an FTDI chip only with its latency timer at 1 ms)
+ANSWER = 0.003
 SHARE = 0.6  # of a tick for questions; what is left is the policy's
 FORGOTTEN = 3.0  # s after which a voltage or temperature that was not read again counts as none; each is read every 0.12 s
 STALE = 0.1  # s after which a servo that nobody had time to ask counts as lost

@@ -30,9 +30,7 @@ class Thresholds:
     stuck_after: float = 0.6  # that joint and commands are watched for
     stuck_answer: float = 0.15  # that a joint has to follow a step, besides the command's latency
     stuck_asked: float = 0.3  # rad that commands move meanwhile,
-    stuck_share: float = (
-        0.15  # of which a stuck joint follows less: healthy ones followed 0.27 and more in 90 s of loopback swims
-    )
+    stuck_share: float = 0.15  # of which a stuck joint follows less: healthy ones 0.27 and more in 90 s of loopback swims
     stuck_moved: float = 0.05  # rad; or it moves less than this,
     stuck_off: float = 0.25  # rad away from the commands on average: at 0.21 rad the servo already pulls with all its torque
     wildest: float = pi  # rad; no joint turns further

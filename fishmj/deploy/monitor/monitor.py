@@ -175,7 +175,6 @@ def flow_of(trial: Trial) -> tuple[float, float]:
 
 def said(alarm: Alarm) -> str:
     """One line on an alarm for the person at the tank."""
-    what = (
-        "innovations are larger" if alarm.probe == SIZE and alarm.sign > 0 else f"{alarm.probe} {'+' if alarm.sign > 0 else '-'}"
-    )
+    larger = alarm.probe == SIZE and alarm.sign > 0
+    what = "innovations are larger" if larger else f"{alarm.probe} {'+' if alarm.sign > 0 else '-'}"
     return f"robot and model part at t = {alarm.t:.1f} s in {alarm.channel} ({what}); fishmj gap find LOGS names the cause"

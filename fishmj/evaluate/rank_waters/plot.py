@@ -7,10 +7,9 @@ import numpy as np
 
 from fishmj.base.figures import canvas, save, style
 from fishmj.base.pages import drawn
-from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE
+from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE, plain_ticks
 from fishmj.evaluate.rank_waters.rank import GAP
 
-TICKS = [digit * 10.0**power for power in (-2, -1, 0, 1) for digit in (1, 2, 5)]  # m
 WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while holding"}
 
 
@@ -24,8 +23,6 @@ def picture(found: dict, path: Path, title: str) -> Path:
 
 
 def _draw(ax, found: dict) -> None:
-    from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
-
     rows = [row for row in found["controllers"] if row["n"]]
     spans = [row[water][end] for row in rows for water in ("solver", "surrogate") for end in ("low", "high", "value")]
     ends = [end for end in spans if np.isfinite(end)]
@@ -45,7 +42,5 @@ def _draw(ax, found: dict) -> None:
     word = WORDS.get(found["key"], found["key"])
     ax.set(xlabel=f"{word} in the solver [m]", ylabel=f"{word} in the surrogate [m]")
     for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(FixedLocator([x for x in TICKS if low <= x <= high]))
-        axis.set_major_formatter(FormatStrFormatter("%g"))
-        axis.set_minor_locator(NullLocator())
+        plain_ticks(axis)
     ax.legend(loc="upper left", frameon=False)

@@ -27,9 +27,8 @@ SCHEMA, NAME, STEPS = "fishmj.same-physics/1", "same_physics.safetensors", 200
 DOMAIN = Domain(name="same physics", shape=(52, 36, 24), dx=0.02, dt=0.004, sponge=5)
 FLOW = Flow(speed=0.2, direction=2.9, turbulence="default", intensity=0.1, seed=7)
 SLIP = 0.98  # between 0 and 1, so that both parts of the forcing work
-TOLERANCE = (
-    1e-3  # of the greatest value: rounding every population at every step anew moves the velocity by 2e-6, the pressure by 1e-5
-)
+# of the greatest value: rounding every population at every step anew moves the velocity by 2e-6, the pressure by 1e-5
+TOLERANCE = 1e-3
 
 
 def folder() -> Path:
