@@ -71,11 +71,35 @@ def crc16(data: bytes) -> int:
 
 
 class _Framing:
-    """Header and length of packets. known: bytes after which the length of the rest is known. least: bytes of a packet."""
+    """Header, length, and the address and count (`span`) of packets.
+
+    known: bytes after which the length of the rest is known. least: bytes of a packet.
+    """
 
     header: bytes
     known: int
     least: int
+    span: struct.Struct
+
+    def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
+        """A packet; error: of STATUS only. Raises ProtocolError: an impossible id or length."""
+        raise NotImplementedError
+
+    def sync_write(self, address: int, values: Mapping[int, bytes]) -> bytes:
+        """Packet that writes an equal number of bytes to each servo, without answers."""
+        listed = b"".join(bytes((servo,)) + data for servo, data in values.items())
+        return self.encode(BROADCAST, Instruction.SYNC_WRITE, self.span.pack(address, _count(values)) + listed)
+
+    def span_of(self, packet: Packet) -> tuple[int, int]:
+        """(address, count) of a READ, SYNC_READ or SYNC_WRITE. Raises ProtocolError."""
+        if len(packet.data) < self.span.size:
+            raise ProtocolError(f"{packet.instruction.name} without address and count")
+        address, count = self.span.unpack_from(packet.data)
+        return address, count
+
+    def listed(self, packet: Packet) -> bytes:
+        """Parameters behind address and count."""
+        return packet.data[self.span.size :]
 
     def size(self, buffer: bytearray, at: int) -> int | None:
         """Length of the packet that may begin at `at`; see `FrameReader`."""
@@ -94,7 +118,7 @@ class _Framing:
 class Protocol2(_Framing):
     """Packets of protocol 2.0."""
 
-    header, most_id, known, least = b"\xff\xff\xfd\x00", 252, 7, 10
+    header, most_id, known, least, span = b"\xff\xff\xfd\x00", 252, 7, 10, struct.Struct("<HH")
 
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
         """A packet; error: of STATUS only. Raises ProtocolError: an impossible id or length."""
@@ -121,31 +145,16 @@ class Protocol2(_Framing):
 
     def read(self, servos: Sequence[int], address: int, count: int) -> bytes:
         """READ of one servo, SYNC_READ of several: `count` bytes from `address`."""
-        span = struct.pack("<HH", address, count)
+        span = self.span.pack(address, count)
         if len(servos) == 1:
             return self.encode(servos[0], Instruction.READ, span)
         return self.encode(BROADCAST, Instruction.SYNC_READ, span + bytes(servos))
-
-    def sync_write(self, address: int, values: Mapping[int, bytes]) -> bytes:
-        """Packet that writes an equal number of bytes to each servo, without answers."""
-        return self.encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HH", address, _count(values)) + _listed(values))
-
-    def span_of(self, packet: Packet) -> tuple[int, int]:
-        """(address, count) of a READ, SYNC_READ or SYNC_WRITE. Raises ProtocolError."""
-        if len(packet.data) < 4:
-            raise ProtocolError(f"{packet.instruction.name} without address and count")
-        address, count = struct.unpack("<HH", packet.data[:4])
-        return address, count
-
-    def listed(self, packet: Packet) -> bytes:
-        """Parameters behind address and count."""
-        return packet.data[4:]
 
 
 class Protocol1(_Framing):
     """Packets of protocol 1.0."""
 
-    header, most_id, known, least = b"\xff\xff", 253, 4, 6
+    header, most_id, known, least, span = b"\xff\xff", 253, 4, 6, struct.Struct("<BB")
 
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
         """Packet, as of `Protocol2.encode`."""
@@ -170,21 +179,7 @@ class Protocol1(_Framing):
 
     def read(self, servos: Sequence[int], address: int, count: int) -> bytes:
         """READ of one servo: `count` bytes from `address`, not two."""
-        return self.encode(servos[0], Instruction.READ, bytes((address, count)))
-
-    def sync_write(self, address: int, values: Mapping[int, bytes]) -> bytes:
-        """Packet that writes to each servo, as of `Protocol2.sync_write`."""
-        return self.encode(BROADCAST, Instruction.SYNC_WRITE, bytes((address, _count(values))) + _listed(values))
-
-    def span_of(self, packet: Packet) -> tuple[int, int]:
-        """(address, count), as of `Protocol2.span_of`."""
-        if len(packet.data) < 2:
-            raise ProtocolError(f"{packet.instruction.name} without address and count")
-        return packet.data[0], packet.data[1]
-
-    def listed(self, packet: Packet) -> bytes:
-        """Parameters behind address and count."""
-        return packet.data[2:]
+        return self.encode(servos[0], Instruction.READ, self.span.pack(address, count))
 
 
 class PacketReader(FrameReader[Packet]):
@@ -192,10 +187,6 @@ class PacketReader(FrameReader[Packet]):
 
     def __init__(self, protocol: Protocol1 | Protocol2):
         super().__init__(protocol.size, protocol.decode)
-
-
-def _listed(values: Mapping[int, bytes]) -> bytes:
-    return b"".join(bytes((servo,)) + data for servo, data in values.items())
 
 
 def _count(values: Mapping[int, bytes]) -> int:

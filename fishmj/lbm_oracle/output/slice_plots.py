@@ -74,16 +74,8 @@ def panels(slices: Sequence[tuple[str, Slice]], path: Path, title: str, top: flo
     size = (wide * columns + 1.2, (0.92 * high + 0.3) * rows + 0.7)
     figure, axes = canvas(rows, columns, size, sharex=True, sharey=True)
     for axis, (name, one) in zip(axes.flat, slices, strict=False):
-        image = axis.imshow(
-            one.speed.T,
-            origin="lower",
-            extent=one.extent,
-            vmin=0,
-            vmax=top,
-            cmap="viridis",
-            aspect="equal",
-            interpolation="bilinear",
-        )
+        shown = {"origin": "lower", "extent": one.extent, "aspect": "equal", "interpolation": "bilinear"}
+        image = axis.imshow(one.speed.T, vmin=0, vmax=top, cmap="viridis", **shown)
         draw_fish(axis, one)
         axis.set_title(name, loc="left", fontsize=10)
     for axis in axes.flat[len(slices) :]:
