@@ -10,16 +10,15 @@ module lives in memory and every process compiles it.
 """
 
 import hashlib
-import os
 import re
 import sys
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import MissingExtra
+from fishmj.base.store import write_text
 from fishmj.engines import codegen, fast_math, residual_lanes, rows_of, ticks_per
 from fishmj.engines.extensions import Extensions
 from fishmj.mjcf.description import Robot
@@ -257,13 +256,8 @@ def require_numba() -> ModuleType:
 def keep(path: Path, text: str) -> Path | None:
     """Makes sure that `path` holds `text` completely; returns None if the folder cannot be written."""
     try:
-        if path.exists() and path.read_bytes() == text.encode():
-            return path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
-        with os.fdopen(handle, "wb") as file:
-            file.write(text.encode())
-        os.replace(temporary, path)
+        if not path.exists() or path.read_bytes() != text.encode():
+            write_text(path, text)
     except OSError:
         return None
     return path

@@ -64,14 +64,7 @@ UNITS = {
     "rheotactic_index": "1",
     "rheotactic_index_linear": "1",
 }
-COURSE_UNITS = {
-    "settled": "1",
-    "settling_time": "s",
-    "furthest": "m",
-    "cross_track": "m",
-    "on_path": "1",
-    "tracking_rmse": "m",
-}
+COURSE_UNITS = {"settled": "1", "settling_time": "s", "furthest": "m", "cross_track": "m", "on_path": "1", "tracking_rmse": "m"}
 NEEDS = {"arrival": "arrival_time", "approach_time": "arrival_time", "rmse_after_arrival": "arrival_time"}
 NEEDS |= {"rmse_last20": "steady_window", "rmse_total": "arrival_time"}
 NEEDS |= dict.fromkeys(("rheotactic_index", "rheotactic_index_linear"), "rheotaxis_window")  # its end is the shortest trial

@@ -18,7 +18,7 @@ from fishmj.base.errors import UnknownName
 from fishmj.deploy.loopback.camera_frames import FrameArtist
 from fishmj.deploy.loopback.loopback_body import MILLISECOND
 from fishmj.deploy.loopback.robot import LoopbackRobot
-from fishmj.deploy.tracker.fix import Fix
+from fishmj.deploy.tracker.fix import Fix, wrapped
 from fishmj.gap.laboratory import random_streams
 
 
@@ -211,4 +211,4 @@ class PoseTracker:
         if missed:
             return None
         x, y, yaw = image[:3] + self._slow + draws[1] * self._fast_size
-        return Fix(t, float(x), float(y), float((yaw + np.pi) % (2 * np.pi) - np.pi), self._covariance, 1.0)
+        return Fix(t, float(x), float(y), wrapped(yaw), self._covariance, 1.0)

@@ -163,13 +163,7 @@ class AprilTagTracker(MarkTracker):
         return pose if abs(ratio - 1) < within and left < within * self.size else None
 
     def _aligned(
-        self,
-        image: np.ndarray,
-        pose: np.ndarray,
-        least: float,
-        *,
-        coarse: bool = True,
-        light: tuple[float, float] | None = None,
+        self, image: np.ndarray, pose: np.ndarray, least: float, *, coarse: bool = True, light: tuple[float, float] | None = None
     ) -> Aligned | None:
         """The tag near a pose, or None if its cells do not match."""
         corners = self.calibration.to_pixel(placed(self.pattern.corners, pose), self.height)

@@ -17,12 +17,8 @@ WORDS = {"rmse_after_arrival": "RMSE after arrival", "rmse_holding": "RMSE while
 def picture(found: dict, path: Path, title: str) -> Path:
     """Draws one figure's ranking. found: of `rank.judged`. title: the condition, shown above."""
     figure, axes = canvas(1, 1, (6.4, 6.0))
-    _draw(axes[0, 0], found)
-    axes[0, 0].set_title(drawn(title), fontsize=9, fontweight="normal", loc="left", color=INK)
-    return save(figure, path, **AROUND)
-
-
-def _draw(ax, found: dict) -> None:
+    ax = axes[0, 0]
+    ax.set_title(drawn(title), fontsize=9, fontweight="normal", loc="left", color=INK)
     rows = [row for row in found["controllers"] if row["n"]]
     spans = [row[water][end] for row in rows for water in ("solver", "surrogate") for end in ("low", "high", "value")]
     ends = [end for end in spans if np.isfinite(end)]
@@ -44,3 +40,4 @@ def _draw(ax, found: dict) -> None:
     for axis in (ax.xaxis, ax.yaxis):
         plain_ticks(axis)
     ax.legend(loc="upper left", frameon=False)
+    return save(figure, path, **AROUND)

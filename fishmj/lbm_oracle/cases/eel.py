@@ -26,7 +26,7 @@ import numpy as np
 
 from fishmj.lbm_oracle.cases import Check, about, above, below, register, reported
 from fishmj.lbm_oracle.cases.plate import limit
-from fishmj.lbm_oracle.fluid.domain_faces import Axis, Boundaries
+from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed.body import DisplacedWater, ImmersedBody
@@ -122,7 +122,7 @@ class Window:
         self.dx, self.steps = 1.0 / cells, PER_CELL * cells  # steps a beat
         corner = (0.0, 0.0, -box[2] / 2 + 0.1 * self.dx)  # the eel swims at z = 0, off the nodes
         lattice = Lattice(dx=self.dx, dt=1.0 / self.steps, rho=DENSITY, nu=VISCOSITY, corner=corner)
-        faces = Boundaries(x=Axis("open", "open"), y=Axis("open", "open"), z=Axis("slip", "slip"), sponge=max(8, cells // 10))
+        faces = channel(sponge=max(8, cells // 10))
         shape = (round(box[0] * cells), round(box[1] * cells), round(box[2] * cells))
         self.water = Fluid(lattice, shape, device, subgrid="none", boundaries=faces)
         self.body = chain(robot, lattice.dt)

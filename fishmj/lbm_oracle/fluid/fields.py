@@ -29,14 +29,7 @@ def _store(f: wp.array(dtype=Any), q: vec19, s: Params, x: int, y: int, z: int):
 
 
 @wp.kernel
-def settle(
-    s: Params,
-    flow: Inflow,
-    low: wp.vec3i,
-    clock: wp.array(dtype=int),
-    f: wp.array(dtype=Any),
-    u: wp.array(dtype=Any),
-):
+def settle(s: Params, flow: Inflow, low: wp.vec3i, clock: wp.array(dtype=int), f: wp.array(dtype=Any), u: wp.array(dtype=Any)):
     """Sets equilibrium at density 1 with the background flow, in a box of world nodes that starts at `low`."""
     i, j, k = wp.tid()
     wx, wy, wz = low[0] + i, low[1] + j, low[2] + k

@@ -45,14 +45,7 @@ def _at(s: Params, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, i: int, j: in
 
 
 @wp.kernel
-def cut(
-    s: Params,
-    u: wp.array3d(dtype=wp.vec3),
-    origin: wp.vec3i,
-    k: int,
-    share: float,
-    plane: wp.array2d(dtype=wp.vec3),
-):
+def cut(s: Params, u: wp.array3d(dtype=wp.vec3), origin: wp.vec3i, k: int, share: float, plane: wp.array2d(dtype=wp.vec3)):
     """Computes (u, v, omega_z) [lu] of every column of the window, low corner first."""
     i, j = wp.tid()
     w, e = wp.max(i - 1, 0), wp.min(i + 1, s.nx - 1)
