@@ -9,6 +9,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.immersed.markers import PLAIN
+from fishmj.lbm_oracle.run import finished_rows
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.finished_rows import FinishedRows
 from fishmj.lbm_oracle.run.spread import never_stop
@@ -95,7 +96,7 @@ def test_study_swims_another_robot_and_keeps_its_rows_apart(name, minnow, tmp_pa
             swim, *slip = key if name == "real_fish" else (key,)
             yield (swim.beat, *slip) if slip else key, ROWS[name]
 
-    monkeypatch.setattr(module, "spread", done)
+    monkeypatch.setattr(finished_rows, "spread", done)
     call = [*argv, "--device", "cpu", "--json", "--out", str(tmp_path / "out")]
     assert module.main([*call, "--robot", minnow]) == console.OK
     given = sent[0].keywords

@@ -36,6 +36,7 @@ from fishmj.lbm_oracle.fluid.device import device_of, devices_of
 from fishmj.lbm_oracle.force_maps import forcemap
 from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point
 from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
+from fishmj.lbm_oracle.run import finished_rows
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 from fishmj.lbm_oracle.run.spread import _KeyRequests, _Process, _ProgressReports, _send_key, ray_device, spread
@@ -295,7 +296,7 @@ def noted(work, keys, devices, go_on=None):
 @pytest.mark.parametrize("name", CALLS)
 def test_a_command_spreads_what_can_be_sent_over_the_devices_it_is_given(name, tmp_path, monkeypatch):
     module, argv = CALLS[name]
-    monkeypatch.setattr(module, "spread", noted)
+    monkeypatch.setattr(collect if module is collect else finished_rows, "spread", noted)
     with pytest.raises(Begun) as begun:
         module.main([*argv, "--device", "cpu,cpu,cpu", "--out", str(tmp_path / "out")])
     work, keys, devices = begun.value.args

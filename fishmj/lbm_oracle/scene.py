@@ -169,11 +169,7 @@ class Scene:
             )
         weight = 0.0 if density is None else float(numbers("scene: density", density, low=1e-300))
         one = PlacedBody(shape, place, joints, motion, weight)
-        if shape.size < FEWEST * self.lattice.dx * (1 - 1e-9):
-            raise ConfigError(
-                f"scene: {shape.size / self.lattice.dx:.1f} cells across the {shape.name}; expected {FEWEST} at least: dx ="
-                f" {shape.size / FEWEST:.3g} m or less"
-            )
+        self._check_size(f"across the {shape.name}", shape.size)
         self._warn_if_thin(shape.name, shape.width or shape.size)
         start = np.zeros(3) if motion is None else _shifted(joints, position(motion, 0.0, len(joints)))
         markers = shape.markers(self.lattice.dx)
@@ -206,14 +202,15 @@ class Scene:
             raise ConfigError("scene: the motion of a model without joints, which is held; give the model joints, or no motion")
         made = scene_bodies.of_model(model, motion, self.lattice)
         self._check_place("the model", made.marker_places(), self._sponge_for(made.size))
-        if made.size < FEWEST * self.lattice.dx:
-            raise ConfigError(
-                f"scene: {made.size / self.lattice.dx:.1f} cells along the model; expected {FEWEST} at least: dx ="
-                f" {made.size / FEWEST:.3g} m or less"
-            )
+        self._check_size("along the model", made.size)
         self._warn_if_thin("a geom of the model", made.width)
         self._holds_model, self._made = True, made
         return self
+
+    def _check_size(self, where: str, size: float) -> None:
+        if size < FEWEST * self.lattice.dx * (1 - 1e-9):
+            cells = f"{size / self.lattice.dx:.1f} cells {where}; expected {FEWEST} at least"
+            raise ConfigError(f"scene: {cells}: dx = {size / FEWEST:.3g} m or less")
 
     def _warn_if_thin(self, name: str, width: float) -> None:
         if width < FEWEST * self.lattice.dx * (1 - 1e-9):

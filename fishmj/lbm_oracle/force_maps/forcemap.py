@@ -36,7 +36,7 @@ from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting
 from fishmj.mjcf import load_robot
 from fishmj.water.flow import Flow
 
@@ -73,8 +73,7 @@ def main(argv: list[str]) -> int:
     pictured = {"out": out, "points": [p for p in left if _pictured(args, p)], "z": args.slice, "whole": args.volume}
     work = partial(on_device, domain=domain, plan=plan, tanks=args.tanks, options=options, pictured=pictured)
     devices = devices_of(args.device) if left else ()
-    begin = lambda go_on: spread(work, left, devices, go_on)
-    keep_rows(book, begin, sum(map(seconds, left)), seconds, "forcemap", args.json)
+    keep_rows(book, work, left, devices, sum(map(seconds, left)), seconds, "forcemap", args.json)
     rows = [book.rows[p] for p in points]
     pictures = draw_forces(rows, out) + panels(out, [p for p in points if _pictured(args, p)])
     console.say(console.table(rows, ("what", "joint_deg", "aoa_deg", "speed", "drag_N", "lateral_N", "yaw_Nm", "status")))

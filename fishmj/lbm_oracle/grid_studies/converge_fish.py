@@ -35,7 +35,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, Domain, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, robot_entry, study_slips, swim_entries, swim_options
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, spread
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting
 from fishmj.lbm_oracle.run.swim import drive, figures
 from fishmj.mjcf import load_robot
 
@@ -187,7 +187,7 @@ def main(argv: list[str]) -> int:
     if robot_entry(robot):
         console.say(f"{robot.name}: yaw is taken at {BENT:g} deg, where that of the shipped fish is greatest")
     work = partial(on_device, domain=domain, beats=args.beats, plan=plan, edge=edge, robot=args.robot)
-    keep_rows(book, lambda go_on: spread(work, left, devices, go_on), sum(map(seconds, left)), seconds, "converge", args.json)
+    keep_rows(book, work, left, devices, sum(map(seconds, left)), seconds, "converge", args.json)
     rows = [book.rows[key] for key in keys]
     table, lost = biases(rows), [row for row in rows if row["status"] != OK]
     console.say(console.table(rows, COLUMNS), "", console.table(table))

@@ -36,7 +36,7 @@ from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, study_options, study_slips
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side
 from fishmj.mjcf import load_robot
 
 SLIPS = (0.6, 0.8, 0.9, 0.96, 0.98, 0.99)
@@ -178,8 +178,7 @@ def main(argv: list[str]) -> int:
     console.say(f"{len(left)} swims to do, {water:.0f} s of water, in {args.out}")
     stage = SwimSetup(domain=domain, robot=args.robot or _robot(), sharpness=BOUNDARIES[args.boundary])
     swimming = partial(run_swims, stage=stage, beats=args.beats, tanks=args.tanks)
-    begin = lambda go_on: spread(swimming, left, devices_of(args.device), go_on)
-    keep_rows(book, begin, water, lambda key: args.beats / key[0], "real_fish", args.json)
+    keep_rows(book, swimming, left, devices_of(args.device), water, lambda key: args.beats / key[0], "real_fish", args.json)
     rows = [book.rows[swim.beat, slip] for swim in real for slip in args.slips]
     lost = [row for row in rows if row["status"] != OK]
     console.say(console.table(rows, COLUMNS))

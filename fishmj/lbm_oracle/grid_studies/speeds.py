@@ -32,7 +32,7 @@ from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, robot_entry, study_slips, swim_entries, swim_options
-from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side, spread
+from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side
 from fishmj.lbm_oracle.run.swim import figures
 from fishmj.mjcf import load_robot
 
@@ -109,8 +109,7 @@ def main(argv: list[str]) -> int:
         console.say(f"{robot.name} swims the gait of the shipped fish; published speeds are those of the shipped fish")
     water = sum(seconds for _, seconds in swims)
     work = partial(on_device, tanks=args.tanks, box=box, beats=args.beats, robot=args.robot, sharpness=edge)
-    begin = lambda go_on: spread(work, left, devices, go_on)
-    keep_rows(book, begin, water, lambda key: args.beats / key[0], "speeds", args.json)
+    keep_rows(book, work, left, devices, water, lambda key: args.beats / key[0], "speeds", args.json)
     rows = [book.rows[key] for key in keys]
     title = f"{''.join(f'{name}, ' for name in robot_entry(robot).values())}{box.name}, {100 * box.dx:g} cm"
     picture = draw_speeds(rows, book.path.with_name("speeds.png"), title)

@@ -9,7 +9,7 @@ from typing import Any
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import read_json, write_json, write_text
-from fishmj.lbm_oracle.run.spread import GoOn
+from fishmj.lbm_oracle.run.spread import Work, spread
 
 TEXTS = ("what", "status")  # columns that hold no number
 OK = "ok"  # status of a run that did all its ticks
@@ -60,16 +60,12 @@ class FinishedRows:
 
 
 def keep_rows(
-    book: FinishedRows,
-    begin: Callable[[GoOn], Iterator[tuple]],
-    total: float,
-    seconds: Callable[[Any], float],
-    title: str,
-    quiet: bool,
-) -> None:
-    """Keeps the (key, row) of `begin(go_on)` as they come, with a line of progress in simulated seconds.
+    book: FinishedRows, work: Work, left: Sequence, devices: Sequence[str],
+    total: float, seconds: Callable[[Any], float], title: str, quiet: bool,
+) -> None:  # fmt: skip
+    """Does the runs that are left and keeps their (key, row) as they come, with a line of progress in simulated seconds.
 
-    total: s of all. seconds: of a key.
+    work, left, devices: as of `spread`. total: s of all. seconds: of a key.
     """
     done = 0.0
     with console.Progress(max(total, 1e-9), title, unit="s", every=1e9 if quiet else None) as bar:
@@ -78,6 +74,6 @@ def keep_rows(
             bar.update(min(done + under_way, total))
             return True
 
-        for key, found in begin(told):
+        for key, found in spread(work, left, devices, told):
             book.add(key, found)
             done += seconds(key)

@@ -63,6 +63,10 @@ class Track:
         """Distance to the target, (F,) m."""
         return np.hypot(*(self.target - self.q[:, :2]).T)
 
+    def frame(self, time: float) -> int:
+        """Number of the frame at `time` s, the first or the last one outside."""
+        return int(np.clip(round(time / self.t[-1] * (len(self.t) - 1)), 0, len(self.t) - 1))
+
 
 def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
     """`robot` if given, else the shipped description that the trial's meta names, else the default fish."""
@@ -295,8 +299,7 @@ def _same_fish(folder, one: Slice, track: Track, start: float) -> None:
     if not one.outline:
         return
     rim = np.concatenate(one.outline)
-    frame = int(np.clip(round((one.t - start) / track.t[-1] * (len(track.t) - 1)), 0, len(track.t) - 1))
-    off = float(np.hypot(*(0.5 * (rim.min(0) + rim.max(0)) - track.q[frame, :2])))
+    off = float(np.hypot(*(0.5 * (rim.min(0) + rim.max(0)) - track.q[track.frame(one.t - start), :2])))
     if off > APART:
         raise ConfigError(
             f"{folder}: at {one.t:.2f} s its fish is {off:.2f} m from where {track.label!r} has it; give the fields of this run"

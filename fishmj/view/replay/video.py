@@ -95,7 +95,7 @@ class TopView:
         if self.wake is not None:
             self._vorticity(image, time, self.wake)
         for t, skin_, colour in reversed(list(zip(self.tracks, self.skins, self.colours, strict=True))):
-            i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
+            i = t.frame(time)
             self._trail(image, t, i, colour)
             self.view.swimmer(image, t.q[i], t.target[i], skin_, None if colour == self.colours[0] else colour)
             self._wind(image, t, i)
@@ -182,7 +182,7 @@ class TopView:
     def _words(self, image, time: float) -> None:
         lines = [self.title[:WORDS]] if self.title else []
         for t in self.tracks:
-            i = int(np.clip(round(time / t.t[-1] * (len(t.t) - 1)), 0, len(t.t) - 1))
+            i = t.frame(time)
             measured = [(t.distance[i], "m off", 2), (t.speed[i], "m/s", 2), (t.power[i], "W", 1)]
             figures = [f"{value:.{digits}f} {unit}" for value, unit, digits in measured if np.isfinite(value)]
             lines.append(f"{t.label[:WORDS]} ({t.origin[:WORDS]})  " + ", ".join(figures))
