@@ -167,10 +167,7 @@ def at_rest(robot: Robot, pose) -> FishState:
 
 
 def rows_of(robot: Robot) -> int:
-    """Number of bus commands that the engines remember of this robot: latency, nominal or randomised, plus two for ramps.
-
-    Effects.
-    """
+    """Number of bus commands that the engines remember of this robot: latency, nominal or drawn, of effects, two for ramps."""
     longest = robot.timing.drawn_latency("command_latency")[1]
     return bus_rows(robot, max(BUFFER, ceil(longest / robot.timing.bus_dt - 1e-9) + 2))
 
