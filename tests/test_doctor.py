@@ -52,6 +52,12 @@ def test_the_packages_that_run_this_test_are_right():
     }
 
 
+@pytest.mark.parametrize(("release", "state"), [((3, 10), "bad"), ((3, 11), "ok"), ((3, 14), "ok")])
+def test_every_python_that_the_package_takes_is_right(release, state, monkeypatch):
+    monkeypatch.setattr(sys, "version_info", (*release, 0, "final", 0))
+    assert next(found.state for found in doctor.machine() if found.name == "python") == state
+
+
 def test_a_missing_extra_is_no_fault_and_has_its_install_line():
     found = one(doctor.packages(['no-such-package>=1; extra == "thing"', 'numpy; extra == "thing"']), "thing")
     assert found.state == "no" and "no-such-package" in found.text and 'pip install "fishmj[thing]"' in found.text

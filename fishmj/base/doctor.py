@@ -192,10 +192,10 @@ def _core(name: str, wanted: str, found: str | None, fits: bool) -> DoctorFindin
 
 def machine() -> list[DoctorFinding]:
     """Findings on Python, the system and the cores."""
-    fits, python = (3, 11) <= sys.version_info[:2] < (3, 13), f"{platform.python_version()} at {sys.executable}"
+    fits, python = sys.version_info[:2] >= (3, 11), f"{platform.python_version()} at {sys.executable}"
     system = ("bad", "not supported: run it inside WSL") if platform.system() == "Windows" else ("ok", platform.platform())
     return [
-        DoctorFinding("machine", "python", "ok" if fits else "bad", python if fits else f"{python}; fishmj needs 3.11 or 3.12"),
+        DoctorFinding("machine", "python", "ok" if fits else "bad", python if fits else f"{python}; fishmj needs 3.11 or later"),
         DoctorFinding("machine", "system", *system),
         DoctorFinding("machine", "cores", "ok", f"{usable_cores()} usable of {os.cpu_count()}, {processor()}"),
     ]
