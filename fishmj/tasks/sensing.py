@@ -15,7 +15,6 @@ from fishmj.base.calib import constant
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import SensorReadings
 from fishmj.engines.extensions import Extensions
-from fishmj.engines.recorder import truth
 from fishmj.log import numbered
 from fishmj.mjcf.description import Robot
 
@@ -160,13 +159,14 @@ def logged(robot: Robot, begun, t, command, pose, velocity, joint, rate, power, 
         pose, velocity: (T, 3) m, rad, m/s, rad/s; joint, rate: (T, J) rad, rad/s, at `t`.
         fish, camera: `FishParams` and latency (1,) in bus ticks. sensing: start, random, strength of `sensed`.
     """
-    volts = robot.servo.voltage
+    volts, names = robot.servo.voltage, ("x", "y", "yaw", "vx", "vy", "wz")
     known = {"camera": int(camera[0]), "effects": np.asarray(fish.effects[0], float), **sensing}
+    exact = dict(zip(names, (*pose.T, *velocity.T), strict=True))
     return {
         "cmd": {"t": begun, **numbered("c#", command)},
         **sensed(robot, t, pose, joint, rate, **known),
         "power": {"t": t, "V": np.full(len(t), volts), "I": power / volts},
-        "truth": truth(t, np.concatenate([pose, velocity], 1), joint, rate),
+        "truth": {"t": t, **exact, **numbered("j#", joint), **numbered("k#", rate)},
     }
 
 
