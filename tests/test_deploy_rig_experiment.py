@@ -198,7 +198,9 @@ def test_where_nobody_stands_at_the_tank_the_session_ends_at_once(tmp_path, monk
 
 
 def test_what_to_do_next_has_only_options_that_are_there(bench, capsys):
-    swims, servo = {"a": SimpleNamespace(span=(0.0, 1.0), value=lambda _: "gait")}, {"a": read_trial(bench / "square_1")}
+    swims = dict.fromkeys("ab", SimpleNamespace(span=(0.0, 1.0), value=lambda _: "gait"))
+    servo = {"a": read_trial(bench / "square_1")}
+    assert "--repeats 2 or a session" in rig_experiment.collect(bench.parent, {"a": swims["a"]}, "fish")[1]
     said = [rig_experiment.collect(bench.parent, done, "fish")[1] for done in (swims, servo)]
     lines = [line for line in [*said, *rig_experiment.EXAMPLES.splitlines()] if "gap find" in line or "calibrate servo" in line]
     helps = {}

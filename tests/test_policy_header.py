@@ -130,6 +130,11 @@ def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, 
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_a_policy_of_another_robot_names_the_robot_that_it_was_trained_for():
+    with pytest.raises(ConfigError, match="it was trained for 'swift': name that one, --robot FILE; or the controller dob"):
+        control.make("station", load_robot("tendon_fish"))
+
+
 def test_a_structure_that_is_only_named_by_its_hash_is_compared(tmp_path):
     bare = header(structure=None, structure_sha256=structure_sha256(structure_of(ROBOT)))
     assert control.make(stored(tmp_path, bare), ROBOT).notes == ()

@@ -9,6 +9,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import nearest
+from fishmj.base.options import shown
 from fishmj.control import CONTROLLERS
 from fishmj.control.policy import FOLDER, Policy, file_of
 from fishmj.control.policy_meta import PolicyBody, PolicyFit, fit, structure_sha256
@@ -46,14 +47,19 @@ class LearnedController:
         if (self.policy.n_obs, self.policy.n_act) != wanted:
             raise ConfigError(
                 f"policy {source}: takes {self.policy.n_obs} observations and gives {self.policy.n_act} actions; "
-                f"robot {robot.name} has {wanted[0]} and {wanted[1]}; {OTHERS}"
+                f"robot {robot.name} has {wanted[0]} and {wanted[1]}; {self._remedy(robot)}"
             )
         self.anyway = anyway
         found = self._fit(robot)
         if found.refused:
-            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {OTHERS}")
+            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {self._remedy(robot)}")
         taken = (f"taken from {path}",) if of_a_run and not shipped else ()
         self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
+
+    def _remedy(self, robot: Robot) -> str:
+        """What to do where the policy does not fit this robot."""
+        own = str(self.policy.meta.get("robot", robot.name))
+        return f"it was trained for {shown(own)}: name that one, --robot FILE; or {OTHERS}" if own != robot.name else OTHERS
 
     def trained(self, robot: Robot | None = None) -> dict:
         """Training of the policy and differences here, in plain types for results and logs.

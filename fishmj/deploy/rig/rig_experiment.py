@@ -126,7 +126,9 @@ def collect(out: Path, done: dict[str, Trial], model: str) -> list[str]:
     bench = any(t.value("excitation") in SESSIONS["calibrate"] for t in done.values())
     servo = f"calibrate servo --data {out / CUT} --model {model} --out {out / 'calibrated.toml'}"
     search = f"gap find {out / CUT} --model {model} --out {out / 'report'}"
-    return [f"{len(done)} trials, {seconds:.0f} s in {out / CUT}", f"next: fishmj {servo if bench else search}"]
+    more = "a search fits one trial and judges another: record more, --repeats 2 or a session"
+    after = more if len(done) < 2 and not bench else f"fishmj {servo if bench else search}"
+    return [f"{len(done)} trials, {seconds:.0f} s in {out / CUT}", f"next: {after}"]
 
 
 def _played(
