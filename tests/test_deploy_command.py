@@ -64,6 +64,12 @@ BAD = {
 }
 
 
+@pytest.mark.parametrize(("words", "flow"), [("--flow 0.1,3.14", (0.1, 3.14)), ("--seed 3", (0.0, 0.0))])
+def test_a_log_states_the_stream_of_its_loopback_robot(words, flow):
+    given = ["--policy", "station", "--link", "loopback", "--loopback", words]
+    assert wiring.parsed(options(), given).flow == flow
+
+
 @pytest.mark.parametrize("words", BAD)
 def test_a_bad_command_line_is_one_line_and_exit_code_2(words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -298,7 +298,7 @@ def tables(
         where = session.folder / BESIDE
         console.say(
             "the same trials in simulated water, for the next tables:",
-            f"  fishmj evaluate {args.policy}{again} --log --out {where / 'fitted'}",
+            f"  fishmj evaluate {args.policy}{again} --log --out {where / 'simulated'}",
             f"  fishmj evaluate {args.policy}{again} --log --water lbm --out {where / 'solver'}",
         )
     if args.json:

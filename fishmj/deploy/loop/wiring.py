@@ -128,7 +128,10 @@ def loopback_options(parser: console.Parser) -> None:
 
 
 def parsed(made: console.Parser, argv: list[str]) -> Any:
-    """Arguments of a command that opens a robot. Raises ConfigError: an option that its link, camera or tracker does not heed."""
+    """Arguments of a command that opens a robot; `flow` of a loopback robot is its own.
+
+    Raises ConfigError: an option that its link, camera or tracker does not heed.
+    """
     args = made.parse_args(argv)
     ours, line = args.link == "loopback", args.link.startswith("serial:")
     bus, seen = line or args.protocol == SERVO_BUS, not ours or args.camera not in (None, "loopback")
@@ -143,7 +146,8 @@ def parsed(made: console.Parser, argv: list[str]) -> Any:
         "a camera other than the loopback's, which draws its own marks": (seen, (*tag, *paint)),
     }
     console.refuse_unheeded(made.prog.removeprefix("fishmj "), args, made, needs)
-    if (mine := getattr(args, "flow", None)) is not None and ours and (theirs := _loopback_flow(args.loopback)) is not None:
+    if ours and hasattr(args, "flow") and (theirs := _loopback_flow(args.loopback)) is not None:
+        mine = args.flow = theirs if args.flow is None else args.flow
         if abs(rect(*mine) - rect(*theirs)) > 1e-6:
             both = f"--flow {mine[0]:g},{mine[1]:g} beside a loopback robot in a stream of {theirs[0]:g},{theirs[1]:g}"
             raise ConfigError(f"{both}: the log would state another stream than the robot's; give --loopback the same --flow")
