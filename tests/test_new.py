@@ -311,6 +311,8 @@ def test_a_data_sheet_gives_the_servo_by_options_and_by_file(tmp_path, capsys):
     assert a == b and a.torque == 1.961 and a.speed_no_load == 6.545
     (tmp_path / "s.toml").write_text('stall_torque = "20 stone"\nno_load_speed = "0.16 s/60deg"\nvoltage = 7.4\n')
     assert "s.toml: stall_torque: got '20 stone'" in refused(capsys, "tench", *rest, "--servo=s.toml")
+    bare = ["--stall-torque=5.2", *sheet[1:]]
+    assert "got '5.2', expected 0.005 to 300 N m, with its unit (units: nm," in refused(capsys, "tench", *rest, *bare)
 
 
 # a fish of five links elsewhere

@@ -1,4 +1,4 @@
-"""Numbers with units in common notation: `60 cm`, `17kgcm`, `0.2s/60deg`. SI without a unit."""
+"""Numbers with units in common notation: `60 cm`, `17kgcm`, `0.2s/60deg`. SI without a unit, but of a torque or rate."""
 
 import argparse
 import math
@@ -10,18 +10,23 @@ from fishmj.mjcf.servos import KG_CM, RPM, S_PER_60_DEG
 
 
 class Quantity(NamedTuple):
-    """A kind of quantity: its SI unit, and factors to it."""
+    """A kind of quantity: its SI unit, and factors to it. bare: a number without a unit is SI, not a question."""
 
     si: str
     units: dict[str, float]
     inverse: dict[str, float] = {}  # unit -> factor over the number, such as s/60deg
+    bare: bool = True
 
 
 KINDS = {
     "length": Quantity("m", {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}),
     "mass": Quantity("kg", {"kg": 1.0, "g": 0.001}),
-    "torque": Quantity("N m", {"nm": 1.0, "mnm": 0.001, "kgcm": KG_CM, "kgfcm": KG_CM, "gcm": KG_CM / 1000, "ozin": 0.00706155}),
-    "rate": Quantity("rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": RPM, "rev/min": RPM}, {"s/60deg": S_PER_60_DEG}),
+    "torque": Quantity(  # data sheets mostly state kg cm or oz in, and rpm or s/60deg
+        "N m", {"nm": 1.0, "mnm": 0.001, "kgcm": KG_CM, "kgfcm": KG_CM, "gcm": KG_CM / 1000, "ozin": 0.00706155}, bare=False
+    ),
+    "rate": Quantity(
+        "rad/s", {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": RPM, "rev/min": RPM}, {"s/60deg": S_PER_60_DEG}, bare=False
+    ),
     "voltage": Quantity("V", {"v": 1.0}),
     "current": Quantity("A", {"a": 1.0, "ma": 0.001}),
     "scale": Quantity("m per pixel", {"m": 1.0, "mm": 0.001}),
@@ -34,7 +39,7 @@ def quantity(kind: str, low: float, high: float) -> Callable[[str], float]:
     """The `type=` of an option that takes a quantity from `low` to `high` (SI); a unit may follow the number."""
     what = KINDS[kind]
     units = f" (units: {', '.join([*what.units, *what.inverse])})" if what.units else ""
-    expected = f"{f'{low:g} to {high:g} {what.si}'.strip()}{units}"
+    expected = f"{f'{low:g} to {high:g} {what.si}'.strip()}{units if what.bare else f', with its unit{units}'}"
 
     def parse(text: str) -> float:
         value = _value(text, what)
@@ -52,7 +57,7 @@ def _value(text: str, kind: Quantity) -> float | None:
         return None
     number, unit = float(found[1]), re.sub(r"[\s.*·-]", "", (found[2] or "").lower().replace("°", "deg"))
     if not unit:
-        return number
+        return number if kind.bare else None
     if unit in kind.inverse:
         return kind.inverse[unit] / number if number else None
     return number * kind.units[unit] if unit in kind.units else None
