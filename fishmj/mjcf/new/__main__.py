@@ -190,7 +190,7 @@ def next_steps(path: Path, name: str) -> list[str]:
         f"  fishmj train --preset quick --robot {path} --out runs/{name}",
         f"  fishmj evaluate runs/{name} --robot {path} --repeats 1",
         "before a policy leaves the computer",
-        f"  fishmj hydro_fit --fish {path} --out runs/water       its water from the flow solver; without a GPU a preview, 30 min",
+        f"  fishmj hydro_fit --fish {path} --out runs/water     its water from the flow solver; without a GPU a preview",
         f"  fishmj log import LOGS --out data/{name} --robot {path}     your own logs, then fishmj calibrate and fishmj gap find",
     ]
 
