@@ -262,6 +262,18 @@ def test_lines_of_a_table_are_replaced_or_added():
     assert calibrated_model.put("a = 1\n", "water", {"cf": 0.1}, new=True) == "a = 1\n\n[water]\ncf = 0.1\n"
 
 
+def test_a_fitted_edge_at_its_bound_is_read_back_and_less_is_refused_in_full(tmp_path):
+    whole = calibrated_model.start(tmp_path / "none.toml", "fish")
+    rounded = calibrated_model.put(whole, "water", {"lift_a": 0.12345678945, "lift_b": 0.5 - 0.12345678945}, new=True)
+    (tmp_path / "mine.toml").write_text(rounded.replace("lift_a = 0.123456789", "lift_a = 0.123456788"), encoding="utf-8")
+    water = load_robot(tmp_path / "mine.toml").water
+    assert 0.5 - 1e-6 < water["lift_a"] + water["lift_b"] < 0.5
+    less = calibrated_model.put(whole, "water", {"lift_a": 0.1, "lift_b": 0.399998}, new=True)
+    (tmp_path / "mine.toml").write_text(less, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"lift_a \+ lift_b = 0\.499998, expected at least 0\.5"):
+        load_robot(tmp_path / "mine.toml")
+
+
 @pytest.mark.slow
 def test_the_command_writes_a_fish_in_its_calibrated_water(tmp_path, capsys):
     for name, trial in swum(other_water(), SWIMS[:5]).items():

@@ -18,6 +18,7 @@ from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
 ROUNDED = 0.01  # of the mass: mass_total may be rounded
+LIFT_ROUNDED = 1e-6  # lift_a and lift_b are written in nine digits, so that a fitted sum of 0.5 may be less
 NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
 # values beyond these are unlikely
@@ -299,8 +300,8 @@ def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[KeyFault]:
             yield KeyFault("water", None, key, got, f"one number a link, {n_links}", "the robot has as many [[link]] blocks")
     if (model := given.get("model")) is not None and (wrong := _no_water(model)):
         yield wrong
-    if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5:
-        got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:g}"
+    if "lift_a" in given and "lift_b" in given and given["lift_a"] + given["lift_b"] < 0.5 - LIFT_ROUNDED:
+        got = f"lift_a + lift_b = {given['lift_a'] + given['lift_b']:.9g}"
         yield KeyFault(
             "water", None, "lift_b", got, "at least 0.5", "less would feed energy to the fish (docs/simulate/water.md)"
         )
