@@ -10,9 +10,10 @@ from absent import absent
 
 from fishmj import log
 from fishmj.base import console
-from fishmj.base.errors import LogError, MissingExtra, UnknownName
+from fishmj.base.errors import LogError, MissingExtra, StoreError, UnknownName
 from fishmj.log import __main__ as command
 from fishmj.log import importers
+from fishmj.log.dataset import take
 
 
 @pytest.mark.parametrize("name", recordings.MAKERS)
@@ -181,6 +182,25 @@ def test_import_keeps_licence_source_and_notes_and_refuses_to_overwrite(tmp_path
     assert any("clocks:" in note for note in data["amp15_bias-20_1"].meta["notes"])
     assert console.run(command.main, ["import", str(source), "--out", str(tmp_path / "set")]) == console.BAD_INPUT
     assert "exists; choose another name" in capsys.readouterr().err
+
+
+def test_a_data_set_whose_meta_was_edited_fails_its_check_and_every_message_names_the_command(tmp_path, capsys):
+    folder = log.write_dataset(tmp_path / "set", importers.read(recordings.boat(tmp_path / "raw")))
+    first, second = log.read_dataset(folder).names
+    with (folder / first / "meta.toml").open("a", encoding="utf-8") as meta:
+        meta.write("# edited\n")
+    (folder / second / "pose.csv").unlink()
+    todo = f"if the change is meant: fishmj log manifest {folder}"
+    assert console.run(command.main, ["check", str(folder)]) == console.FAILED_CHECK
+    assert f"2 files changed or gone; restore it, or {todo}" in capsys.readouterr().out
+    with pytest.raises(StoreError) as strict:
+        log.read_dataset(folder)
+    assert str(strict.value).endswith(todo)
+    with pytest.raises(LogError, match="none of 2 trials can be read.* changed since the manifest was written; ") as taken:
+        take(folder)
+    assert str(taken.value).endswith(todo)
+    assert console.run(command.main, ["manifest", str(folder)]) == console.OK
+    assert len(take(folder).trials) == 2
 
 
 def test_check_lists_every_trial_that_breaks_the_schema(tmp_path, capsys):

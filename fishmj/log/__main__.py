@@ -9,7 +9,7 @@ from fishmj.base.errors import FishmjError, LogError
 from fishmj.base.store import Manifest
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import physical_checks
-from fishmj.log.dataset import read_dataset
+from fishmj.log.dataset import mend, read_dataset
 from fishmj.log.importers import gather
 from fishmj.log.limits import bare
 from fishmj.log.timebase import audit
@@ -47,7 +47,8 @@ def check(argv: list[str]) -> int:
                 console.warn(f"{bare(name)}: {text}")
     for line in changed:
         console.warn(line)
-    more = (f", {len(impossible)} not physical" if impossible else "") + (f", {len(changed)} files changed" if changed else "")
+    more = f", {len(impossible)} not physical" if impossible else ""
+    more += f", {len(changed)} files changed or gone; {mend(args.data)}" if changed else ""
     console.say(f"{len(audits)} trials read, {len(broken)} refused{more}")
     if args.json:
         result = {"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed, "not_physical": impossible}

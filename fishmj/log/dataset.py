@@ -71,7 +71,10 @@ def read_dataset(folder: str | Path, *, verify: bool = True) -> Dataset:
         raise LogError(f"{folder}: no such data set; expected a folder of trial folders with manifest.json")
     manifest = Manifest.read(folder)
     if verify:
-        manifest.verify(folder)
+        try:
+            manifest.verify(folder)
+        except StoreError as error:
+            raise StoreError(f"{error}; {mend(folder)}") from error
     names = tuple(sorted(str(Path(file).parent) for file in manifest.files if Path(file).name == META_FILE))
     if not names:
         raise LogError(f"{folder}: the manifest names no {META_FILE}; it is not a data set of trials")
@@ -118,6 +121,11 @@ def take(folder: str | Path) -> Taken:
     return Taken(trials, dict(sorted(broken.items())), notes, digest)
 
 
+def mend(folder: Path) -> str:
+    """What to do about files that differ from the manifest of a folder."""
+    return f"restore it, or if the change is meant: fishmj log manifest {folder}"
+
+
 def _signed(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], str]:
     """(trials to read, broken ones, notes, sha256) by the manifest."""
     manifest = Manifest.read(folder)
@@ -130,9 +138,9 @@ def _signed(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], s
         parent = str(Path(change.path).parent)
         if parent in names:
             state = "is gone" if change.got is None else "changed since the manifest was written"
-            broken.setdefault(parent, f"{Path(change.path).name} {state}")
+            broken.setdefault(parent, f"{Path(change.path).name} {state}; {mend(folder)}")
         elif change.path == measurements.FILE:
-            raise StoreError(f"{folder}: {change}; restore the page of weighings, or write the data set again")
+            raise StoreError(f"{folder}: {change}; {mend(folder)}")
     listed = {str(Path(file).parent) for file in manifest.files}
     new = [name for name in _folders(folder) if name not in listed]
     notes = (f"not in the manifest, left out: {', '.join(new[:5])}{' ..' if len(new) > 5 else ''}",) if new else ()
