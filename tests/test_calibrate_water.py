@@ -1,6 +1,7 @@
 """The water of a fish from its free swims: what the body feels comes back, swims left out are predicted, doubt is said."""
 
 import json
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.bench.water_families import SWIMS as GUIDE
 from fishmj.gap.calibrate import __main__ as command
-from fishmj.gap.calibrate import calibrated_model, water_fit
+from fishmj.gap.calibrate import calibrated_model, commands, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs
 from fishmj.gap.calibrate.parameter_fit import FreeParameter, Minimum, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
@@ -260,6 +261,16 @@ def test_lines_of_a_table_are_replaced_or_added():
     made = calibrated_model.put(text, "water", {"k": [0.5, 0.25], "suction": 0.5, "model": "structured"}, new=True)
     assert made == '[water]\nk = [0.5, 0.25]  # note\nsuction = 0.5\nmodel = "structured"\n\n[servo]\nkp = 3\n'
     assert calibrated_model.put("a = 1\n", "water", {"cf": 0.1}, new=True) == "a = 1\n\n[water]\ncf = 0.1\n"
+
+
+def test_swims_without_a_stated_current_are_said_to_be_taken_for_still_water(tmp_path, capsys):
+    trials = swum(in_water(ROBOT, "structured"), ("gait", "tow_ahead"))
+    trials["tow_ahead"] = replace_meta(trials["tow_ahead"], flow={"speed": 0.0, "direction": 0.0, "known": True})
+    for name, trial in trials.items():
+        write_trial(tmp_path / "swims" / name, trial)
+    logs = commands.open_logs(Namespace(data=tmp_path / "swims", model="fish", same_robot=False), ROBOT)
+    line = "1 of 2 swims do not state their current, flow in meta.toml or log import --flow; taken for still water"
+    assert line in logs.notes and line in capsys.readouterr().err
 
 
 def test_a_fitted_edge_at_its_bound_is_read_back_and_less_is_refused_in_full(tmp_path):
