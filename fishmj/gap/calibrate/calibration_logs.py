@@ -69,7 +69,8 @@ class Logs(NamedTuple):
             left = "".join(f"; {name} is left out: {why}" for name, why in silent.items())
             raise LogError(
                 f"{self.folder}: a servo calibration needs at least two of {', '.join(SIGNALS)}, and finds {found}{left}. "
-                f"Record {', '.join(lacking)} in air and in water, three times each (meta: excitation, medium)"
+                f"Record {', '.join(lacking)} in air and in water, three times each (meta: excitation, medium);"
+                f" trials that are there, name them: log import .. --excitation TRIAL={lacking[0]}"
             )
         return names
 
