@@ -122,7 +122,7 @@ def take(folder: str | Path) -> Taken:
 
 
 def mend(folder: Path) -> str:
-    """What to do about files that differ from the manifest of a folder."""
+    """Advice on files that differ from the manifest of a folder."""
     return f"restore it, or if the change is meant: fishmj log manifest {folder}"
 
 
