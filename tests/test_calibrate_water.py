@@ -3,6 +3,7 @@
 import json
 from argparse import Namespace
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,9 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.bench.water_families import SWIMS as GUIDE
 from fishmj.gap.calibrate import __main__ as command
-from fishmj.gap.calibrate import calibrated_model, commands, water_fit
+from fishmj.gap.calibrate import calibrated_model, commands, water_doubts, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs
-from fishmj.gap.calibrate.parameter_fit import FreeParameter, Minimum, minimum
+from fishmj.gap.calibrate.parameter_fit import FreeParameter, Minimum, ParameterEstimate, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
 from fishmj.gap.models.swimming_fish import ServoStand, SwimmingFish
 from fishmj.log import SCHEMA, Trial, excitation, numbered, write_trial
@@ -283,6 +284,58 @@ def test_a_fitted_edge_at_its_bound_is_read_back_and_less_is_refused_in_full(tmp
     (tmp_path / "mine.toml").write_text(less, encoding="utf-8")
     with pytest.raises(ConfigError, match=r"lift_a \+ lift_b = 0\.499998, expected at least 0\.5"):
         load_robot(tmp_path / "mine.toml")
+
+
+def test_a_poor_water_is_written_with_its_faults_and_fails(tmp_path, capsys, monkeypatch):
+    """The fit takes one round; errors and bounds are set, so that this is a test of what is said of them."""
+    monkeypatch.setattr(water_fit, "ROUNDS", 1)
+    monkeypatch.setattr(water_fit, "AGAIN", 1)
+    calibrate = water_fit.calibrate
+
+    def off(logs, plant, share, **_):
+        found = calibrate(logs, plant)
+        coefficients, thrust = dict(found.coefficients), found.physical["thrust"]
+        coefficients |= {"ke": coefficients["ke"]._replace(bound="upper"), "cf": coefficients["cf"]._replace(bound="")}
+        wide = found.physical | {"thrust": thrust._replace(low=thrust.value - 1, high=thrust.value + 1)}
+        after = [swim._replace(speed=0.2, simulated=0.2 * (1 + share)) for swim in found.after]
+        return found._replace(coefficients=coefficients, physical=wide, after=after, misfit=(1.0, 2.0))
+
+    for name, trial in swum(other_water(), SWIMS[:5]).items():
+        write_trial(tmp_path / "swims" / name, replace_meta(trial, excitation="" if name == "gait" else name))
+    argv = [
+        "water",
+        "--data",
+        str(tmp_path / "swims"),
+        "--report",
+        str(tmp_path / "report"),
+        "--out",
+        str(tmp_path / "mine.toml"),
+    ]
+    for share, code in ((0.3, console.FAILED_CHECK), (0.05, console.OK)):
+        monkeypatch.setattr(water_fit, "calibrate", partial(off, share=share))
+        assert console.run(command.main, [*argv, "--json"]) == code
+        said = capsys.readouterr()
+        poor = "too poor to search with: 30.0 % mean speed error on unseen swims, above 10 %" if code else ""
+        assert f"written: {tmp_path / 'mine.toml'}{', but ' * bool(poor)}{poor}\n" in said.out
+        assert "parameters at a bound: " in said.out and "ke (upper)" in said.out
+        assert "not told by these swims, 90 % interval wider than the number: " in said.out and "thrust (" in said.out
+        assert "relied on servo, command_latency, camera_latency as described: no calibration block of fish" in said.out
+        assert "excitation not stated by 1 of 5 swims: each such trial counts as its own kind" in said.err
+        assert "name them: log import --excitation TRIAL=NAME" in said.out
+        assert json.loads(said.out.splitlines()[-1])["poor"] == poor
+
+
+def test_numbers_that_a_water_relied_on_are_those_that_no_calibration_states(tmp_path):
+    mine, whole = tmp_path / "mine.toml", calibrated_model.start(tmp_path / "none.toml", "fish")
+    estimate = ParameterEstimate("", "s", 0.1, 0.09, 0.11, 0.01, "trials")
+    calibrated_model.write(mine, whole, "servo", {"kp": estimate, "command_latency": estimate}, {}, tmp_path)
+    (line,) = water_doubts.unmeasured(str(mine))
+    assert line.startswith("relied on camera_latency as described")
+    (line,) = water_doubts.unmeasured("fish", mine)
+    assert line.endswith(f"but {mine} does: fit again with --model {mine}")
+    text = mine.read_text(encoding="utf-8")
+    calibrated_model.write(mine, text, "latency", {"camera_latency": estimate}, {}, tmp_path)
+    assert water_doubts.unmeasured(str(mine)) == []
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 
 def fit(verb: str, argv: list[str]) -> int:
-    """Runs one of the calibrations: servo, latency, slip, water, mass. Returns the exit code."""
+    """Runs one of the calibrations: servo, latency, slip, water, mass. Returns the exit code: 1 for a result too poor to use."""
     from fishmj.gap.calibrate.commands import VERBS
 
     again = interrupt.again("start again")
@@ -30,13 +30,16 @@ def fit(verb: str, argv: list[str]) -> int:
                 args.grid, args.boundary = reference_grid(args.grid, args.boundary)
             args.boundary = args.boundary or "plain"
         answer = VERBS[verb](args)
+    poor = answer.get("poor", "")
     if args.out:
-        console.say(f"written: {args.out}")
+        console.say(f"written: {args.out}" + (f", but {poor}" if poor else ""))
+    elif poor:
+        console.say(poor)
     if "report" in answer:
         console.say(f"report: {answer['report']}")
     if args.json:
         console.emit_json(answer)
-    return console.OK
+    return console.FAILED_CHECK if poor else console.OK
 
 
 def reference_grid(grid: str | None, boundary: str | None = None) -> tuple[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import LogError
-from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_fit
+from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_doubts, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs, read, smoothing
 from fishmj.gap.calibrate.parameter_fit import ParameterEstimate, widened
 from fishmj.gap.calibrate.water_plant import WaterPlant
@@ -219,6 +219,8 @@ def run_water(args) -> Answer:
     robot = load_robot(args.model)
     logs, plant = open_logs(args, robot), WaterPlant(robot)
     names = water_fit.swims(logs)
+    for note in (unnamed := water_doubts.unnamed(logs.trials[name] for name in names)):
+        console.warn(note)
     compile_kernel(plant, console.say)
     found = water_fit.calibrate(logs, plant, bars=terminal_bar)
     left, begin = found.speed_error, [swim.speed_error for swim in found.before]
@@ -226,7 +228,8 @@ def run_water(args) -> Answer:
         f"on swims that the fit has not seen the speed is wrong by {100 * left.value:.1f} % in the mean and"
         f" {100 * left.high:.1f} % at worst; as described by {100 * float(np.nanmean(begin)):.1f} % in the mean"
     )
-    doubt = water_fit.loose_servo(plant, found.records, found.theta)
+    doubts, poor = water_doubts.doubts(found), water_doubts.too_poor(found)
+    doubts += [*unnamed, *water_doubts.unmeasured(args.model, args.out)]
     earlier = {swim.trial: swim for swim in found.before}
     swims = [
         {
@@ -244,11 +247,16 @@ def run_water(args) -> Answer:
     ]
     turned = rows(found.coefficients)
     console.say(*source_lines(logs, f"{len(names)} of them are free swims"), console.table(swims), "", console.table(turned))
-    console.say("", console.table(rows(found.physical)), words, *([doubt] if doubt else []))
+    console.say("", console.table(rows(found.physical)), words, *doubts)
     tables = {"What the body feels": rows(found.physical), "Swims left out": swims, "Coefficients": turned}
     picture = fit_plots.draw_water(found, args.report / "water.png")
     page = fit_plots.report(
-        args.report, "Water calibration", tables, picture, source_lines(logs, f"{words}. {doubt}"), fit_plots.WATER_WORDS
+        args.report,
+        "Water calibration",
+        tables,
+        picture,
+        source_lines(logs, ". ".join([words, *doubts, *([poor] if poor else [])])),
+        fit_plots.WATER_WORDS,
     )
     if found.refusal:
         raise LogError(f"{args.data}: {found.refusal}. Nothing is written; the evidence is in {page}")
@@ -262,7 +270,8 @@ def run_water(args) -> Answer:
         "speed_error": left._asdict(),
         "swims": swims,
         "words": words,
-        "doubt": doubt,
+        "doubts": doubts,
+        "poor": poor,
         "report": page,
         "skipped": logs.broken,
     }
