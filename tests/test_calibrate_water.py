@@ -319,7 +319,8 @@ def test_a_poor_water_is_written_with_its_faults_and_fails(tmp_path, capsys, mon
         assert f"written: {tmp_path / 'mine.toml'}{', but ' * bool(poor)}{poor}\n" in said.out
         assert "parameters at a bound: " in said.out and "ke (upper)" in said.out
         assert "not told by these swims, 90 % interval wider than the number: " in said.out and "thrust (" in said.out
-        assert "relied on servo, command_latency, camera_latency as described: no calibration block of fish" in said.out
+        start = "fish" if code else tmp_path / "mine.toml"  # which is there the second time, and gone on with
+        assert f"relied on servo, command_latency, camera_latency as described: no calibration block of {start}" in said.out
         assert "excitation not stated by 1 of 5 swims: each such trial counts as its own kind" in said.err
         assert "name them: log import --excitation TRIAL=NAME" in said.out
         assert json.loads(said.out.splitlines()[-1])["poor"] == poor

@@ -20,8 +20,10 @@ def fit(verb: str, argv: list[str]) -> int:
     with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
         made = options(verb)
         args = made.parse_args(argv)
-        if args.out and args.out.is_file():
+        begun = bool(args.out and args.out.is_file())
+        if begun:
             load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
+        args.model = args.model or (str(args.out) if begun else "fish")
         if verb == "slip":
             needs = {"--recompute": (args.recompute, ("ratios", "device", "tanks"))}
             console.refuse_unheeded("calibrate slip", args, made, needs)
@@ -59,7 +61,8 @@ def options(verb: str) -> console.Parser:
     made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
     add = made.add_argument
     add("--data", type=console.path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
-    add("--model", type=console.text, default="fish", help="the fish to start from: shipped name or TOML file")
+    start = "the fish to start from: shipped name or TOML file; default the file of --out where it is there, else fish"
+    add("--model", type=console.text, help=start)
     gap_options.of_robot(add)
     out = "fish file (.toml) to write, or to go on with when it is there; by default none is written"
     add("--out", type=_model_file, help=out)
