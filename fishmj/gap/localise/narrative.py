@@ -13,7 +13,7 @@ LITTLE, MOST = 0.1, 0.5  # share of the gap
 def paragraph(p) -> str:
     """Paragraph on the place of the gap."""
     if nothing(p):
-        return f"The residual is no more than healthy robots leave (gap {level(p.gap)}): there is nothing to place."
+        return f"As a whole the residual is no larger than healthy robots leave (gap {level(p.gap)}): it is too small to place."
     return " ".join(s for s in (where(p), beat(p), lag(p), frame(p), side(p), growth(p), speed(p), session(p)) if s)
 
 

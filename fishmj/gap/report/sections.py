@@ -22,6 +22,7 @@ from fishmj.gap.verdict import LIKELIHOOD, Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
 
 NOTHING = Section("", "", ())
+UNMET, ACCEPTED = "not met; continued", "an effect was accepted"
 SET_ON = "Thresholds were set on null runs and planted effects; benchmarks are scored on others."
 
 
@@ -106,7 +107,8 @@ def warnings(m: ReportData) -> list[str]:
 def where(m: ReportData) -> Section:
     """Section on the localisation."""
     p = m.place
-    text = part("told", escape_text(" ".join(filter(None, (p.text, m.weighed)))), "place")
+    by_form = "What was found was found by the form of the residual, not by its size." if m.inquiry.verdict.taken else ""
+    text = part("told", escape_text(" ".join(filter(None, (p.text, by_form if nothing(p) else "", m.weighed)))), "place")
     if nothing(p):
         return Section("Where it is", "", [text])
     detail = pictures.details(p, m.comparison.changed)
@@ -189,7 +191,13 @@ def ranked(r: RoundFinalists, place: int, count: int) -> str:
 def checks(m: ReportData, about: str = SET_ON) -> Section:
     """Section on the gates. about: on what their thresholds were set."""
     rows = [
-        {"gate": part("strong", g.name), "question": g.question, "found": g.value, "needed": g.needed, "": part("tag", g.state)}
+        {
+            "gate": part("strong", g.name),
+            "question": g.question,
+            "found": g.value,
+            "needed": g.needed,
+            "": part("tag", g.state.partition(";")[0], g.state),
+        }
         for g in gates(m)
     ]
     return Section("Why this answer", about, [table(rows, left=2)])
@@ -239,7 +247,7 @@ CONTRACT = {
 
 
 class Gate(NamedTuple):
-    """One row of the table. state: passed, failed, or not asked."""
+    """One row of the table. state: passed, failed, not asked, or not met with the reason why the search went on."""
 
     name: str
     question: str
@@ -325,33 +333,41 @@ def gates(m: ReportData) -> list[Gate]:
     had = lambda key: float(checks.get(key, float("nan")))
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
     doubts = 0 if v.answer == "NAMED" else len(v.warnings)  # what is warned of beside a name is no doubt about its value
+    gained, little = first.gain if first else 0.0, had("rest") <= (1.0 + g.adequacy) / 2
+    lead, most = had("lead") if "lead" in checks else 0.0, thresholds().stronger.lead
+    # (gate, question, found, needed, whether it holds, why the search goes on where it does not)
     rows = (
         ("gap", "Is there more than null runs reach?")
-        + (level(had("adequacy")), f"> {g.adequacy:g}", had("adequacy") > g.adequacy or accepted),
+        + (level(had("adequacy")), f"> {g.adequacy:g}", had("adequacy") > g.adequacy)
+        + (ACCEPTED if accepted else "",),
         ("gain", "Does the best effect make records that did not see it likelier than chance does?")
-        + (number(first.gain if first else 0.0), f"> {g.gain:g}", accepted),
+        + (number(gained), f"> {g.gain:g}", accepted and gained > g.gain)
+        + ("its gain on all records at once is enough" if accepted else "",),
         ("closure", f"Is most of {LIKELIHOOD} gone, unseen?")
-        + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure),
+        + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure)
+        + ("hardly any residual is left" if little else "",),
         ("rest", "Is what is left within the error of any formula?")
-        + (level(had("rest")), f"≤ {residual_allowed(checks, g):.3g}", had("rest") <= residual_allowed(checks, g)),
+        + (level(had("rest")), f"≤ {residual_allowed(checks, g):.3g}", had("rest") <= residual_allowed(checks, g), ""),
         ("form", "Is it right to within what a formula may be wrong?")
-        + (percent(had("form")), f"≤ {percent(g.form)}", not misformed(checks)),
+        + (percent(had("form")), f"≤ {percent(g.form)}", had("form") <= g.form and not misformed(checks))
+        + ("" if misformed(checks) else "it may be chance, or only an exact value fits",),
         ("size", "And in its size, from record to record?")
-        + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size),
+        + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size, ""),
         ("transfer", "Do the records get likelier one by one, unseen?")
-        + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer),
+        + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer, ""),
         ("uniqueness", "Is no other effect nearly as good?")
-        + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best),
-        ("sanity", "Are the values believable?") + (f"{doubts} warnings", "none", not doubts),
+        + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best, ""),
+        ("sanity", "Are the values believable?") + (f"{doubts} warnings", "none", not doubts, ""),
         ("force", "Does no free force that is right in its form explain more, unseen?")
-        + (number(had("lead")) if "lead" in checks else "-", f"≤ {number(thresholds().stronger.lead)}", not is_outdone(checks)),
+        + (number(lead) if "lead" in checks else "-", f"≤ {number(most)}", lead <= most)
+        + ("" if "lead" in checks and is_outdone(checks) else "it is small beside the gain, or wrong in its form",),
     )
     out, asked = [], True
     if v.answer == "NOT_REPEATABLE":
         question = "Do records of one experiment agree better with each other than with the model?"
         out, asked = [Gate("replicates", question, "no", "yes", "failed")], False
-    for name, question, value, needed, passed in rows:
-        state = ("passed" if passed else "failed") if asked else "not asked"
-        out.append(Gate(name, question, value if asked else "-", needed, state))
-        asked = asked and passed
+    for name, question, value, needed, holds, because in rows:
+        state = "passed" if holds else f"{UNMET} because {because}" if because else "failed"
+        out.append(Gate(name, question, value if asked else "-", needed, state if asked else "not asked"))
+        asked = asked and bool(holds or because)
     return out
