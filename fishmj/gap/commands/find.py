@@ -15,8 +15,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fishmj.base import console, interrupt
+from fishmj.base.calib import read_toml, resolve
 from fishmj.base.compile_cache import cache_folder
-from fishmj.base.errors import ConfigError
+from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import clear, left_out, shipped, write_json
 from fishmj.engines import own_effects
 from fishmj.gap import progress
@@ -33,6 +34,7 @@ from fishmj.gap.wording import level
 from fishmj.gap.workflow import Inquiry, compile_kernel, investigate
 from fishmj.log import Trial
 from fishmj.log.dataset import Taken
+from fishmj.log.trial import readings_sha256
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
@@ -81,6 +83,8 @@ def main(argv: list[str]) -> int:
     admission.null_fits(null, robot, args.model)
     given, notes = admission.admitted(args.data, robot, args.model, args.same_robot, args.anyway)
     healthy = swims(args, robot)
+    refuse_shared(args, healthy, given)
+    notes = (*notes, *absorbed(args, given))
     lacking = admission.insufficient_data(given, robot)
     if lacking is not None:
         console.say(lacking.text())
@@ -114,6 +118,34 @@ def swims(args, robot: Robot) -> list[Trial]:
         why = f"the water of {args.model} was not calibrated; fishmj calibrate water {args.healthy} calibrates it to these swims"
         raise ConfigError(f"gap find: --healthy {args.healthy}: {why}")
     return list(admission.admitted(args.healthy, robot, args.model, args.same_robot)[0].trials.values())
+
+
+def refuse_shared(args, healthy: Sequence[Trial], given: Taken) -> None:
+    """Raises LogError if swims of --healthy are among the searched trials: a gap would count as usual."""
+    searched = {readings_sha256(trial): name for name, trial in given.trials.items()}
+    both = [f"{t.name} ({searched[h]} of {args.data})" for t in healthy if (h := readings_sha256(t)) in searched]
+    if both:
+        number = f"{len(both)} of {len(healthy)} trials have the readings of searched ones: {', '.join(both[:3])}"
+        more = ", .." if len(both) > 3 else ""
+        raise LogError(
+            f"gap find: --healthy {args.healthy}: {number}{more}; these are the logs in question; expected swims from before"
+            " anything was wrong, in a folder of their own"
+        )
+
+
+def absorbed(args, given: Taken) -> tuple[str, ...]:
+    """Warning, printed too, that the model's water was calibrated on the searched data; empty if it was not."""
+    block = read_toml(resolve(args.model, robot=True)).get("calibration", {}).get("water", {})
+    evidence, source = block.get("manifest_sha256", ""), block.get("source", "")
+    same = evidence == given.sha256 if evidence else bool(source) and Path(str(source)).resolve() == args.data.resolve()
+    if not same:
+        return ()
+    note = (
+        f"the water of {args.model} was calibrated on the searched data ({args.data}): the calibration has absorbed what it could"
+        " of a missing effect, and what is named may be only what is left over; search logs that it was not calibrated on"
+    )
+    console.warn(note)
+    return (note,)
 
 
 def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = ()) -> Inquiry:
