@@ -1,6 +1,7 @@
 """The next experiment: planned like a real one, judged by what tells the explanations that are left apart."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import pytest
 pytest.importorskip("numba")
 
 from fishmj import effects
-from fishmj.base.errors import UnknownName
+from fishmj.base.errors import LogError, UnknownName
+from fishmj.base.store import write_json
+from fishmj.gap import experiment
 from fishmj.gap.commands import next_experiment
 from fishmj.gap.experiment import (
     ExperimentScore,
@@ -25,9 +28,11 @@ from fishmj.gap.experiment import (
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
 from fishmj.gap.records.records import record_of
+from fishmj.gap.verdict import NamedEffect, Value, Verdict
 from fishmj.log import excitation
 
 NULL = SimulatedNull(runs=16)
+PAIR = ("coulomb_friction", "coulomb_friction + camera_scale")
 SOME = ("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag")
 
 
@@ -114,6 +119,35 @@ def test_a_report_is_answered_without_its_data(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["experiments"][0]["excitation"] == "slow_triangle"
     assert "between Coulomb friction and viscous friction" in told["advice"]
+
+
+def test_report_of_a_doubtful_name_without_a_near_rival_is_answered(plant, tmp_path, capsys, monkeypatch):
+    """Its explanations are those that the search compared, also of several effects each."""
+    both = side(plant, "coulomb_friction", 0.1)
+    place = plant.index("camera_scale", effects.get("camera_scale").parameters[0].name)
+    both.row[place] = 0.02
+    both = both._replace(names=("coulomb_friction", "camera_scale"), moves=np.repeat(both.row[None], 2, 0))
+    sides = [side(plant, "coulomb_friction", 0.1, spread=0.01, weight=0.7), both._replace(weight=0.3)]
+    monkeypatch.setattr(experiment, "hypotheses_of", lambda found, verdict: sides)
+    monkeypatch.setattr(experiment, "experiment_scores", lambda *args, **_: [ExperimentScore("gait", 9.0, 8.0, PAIR, 1.0)])
+    e = SimpleNamespace(model=plant, records=[None])
+    named = NamedEffect("coulomb_friction", {"torque": Value(0.1, "N m", 0.09, 0.11)}, 0.9, 0.9)
+    verdict = experiment.advise(e, None, Verdict("CLASS", effects=(named,), warnings=("a bound",)), NULL)
+    assert verdict.next_experiment.endswith("between Coulomb friction and Coulomb friction + camera scale.")
+    write_json(tmp_path / "verdict.json", verdict.plain())
+    assert next_experiment.main([str(tmp_path), "--runs", "slow_triangle,drift_north", "--null-runs", "16", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert {tuple(e["pair"]) for e in told["experiments"]} == {PAIR}
+
+
+def test_report_without_values_is_answered_with_its_own_advice(tmp_path, capsys):
+    rival = {"name": "viscous_friction", "p_best": 0.3}
+    verdict = {"answer": "CLASS", "effects": [], "rivals": [rival], "next_experiment": "Hold a ruler beside the track."}
+    (tmp_path / "verdict.json").write_text(json.dumps(verdict))
+    assert next_experiment.main([str(tmp_path)]) == 0 and "CLASS: Hold a ruler beside" in capsys.readouterr().out
+    (tmp_path / "verdict.json").write_text(json.dumps(verdict | {"next_experiment": ""}))
+    with pytest.raises(LogError, match="give the data set itself"):
+        next_experiment.main([str(tmp_path)])
 
 
 def test_nothing_is_left_to_decide_after_a_name(tmp_path, capsys):

@@ -68,9 +68,14 @@ class ExperimentScore(NamedTuple):
 
     def text(self) -> str:
         """Recommendation as a sentence."""
-        a, b = (title(side) for side in self.pair)
+        a, b = map(told, self.pair)
         expected = f"expected separation {self.sigma:.0f} sigma"
         return f"Run `{self.excitation}` ({self.seconds:.0f} s): {expected}; would decide between {a} and {b}."
+
+
+def told(label: str) -> str:
+    """An explanation in words, its effects joined by +, since `and` stands between two explanations."""
+    return " + ".join(map(title, label.split("+")))
 
 
 def experiment_scores(
@@ -156,14 +161,15 @@ def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def advise(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent_bar) -> Verdict:
-    """A CLASS verdict with the next experiment from a quick calculation, and its rivals' values for a longer one without data."""
+    """A CLASS verdict with the next experiment from a quick calculation, and the values for a longer one without data."""
     sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(found, verdict))
     if len(sides) < 2:
         return verdict
     quick = experiment_scores(e.model, sides, e.records[0], hinted_experiments(sides), null, bars=bars)
     listed = {s.names[-1]: to_plain(e.model, s) for s in sides[1:]}
     rivals = [r | {"values": listed[r["name"]]} if r["name"] in listed else r for r in verdict.rivals]
-    return replace(verdict, rivals=tuple(rivals), next_experiment=advice(e.model, quick, sides))
+    compared = tuple({"values": to_plain(e.model, s), "weight": s.weight} for s in sides)
+    return replace(verdict, rivals=tuple(rivals), explanations=compared, next_experiment=advice(e.model, quick, sides))
 
 
 def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
@@ -174,10 +180,10 @@ def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
     sigma, other = max((mass_properties.separation(model, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
     if sigma >= ENOUGH:
-        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {title(sides[0].label)} and {title(other)}."
+        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {told(sides[0].label)} and {told(other)}."
     most = max(found, key=lambda p: p.sigma)
     a, b = most.pair
-    text = f"No experiment tried separates {title(a)} from {title(b)} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
+    text = f"No experiment tried separates {told(a)} from {told(b)} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
     same = next((c for x in sides[0].names for y in sides[1].names if (c := together(x, y))), None)
     return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
 

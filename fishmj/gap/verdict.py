@@ -48,8 +48,9 @@ class Verdict:
     Those of measured robots (gap/measured) are mean squares in units of the floor.
     effects: named or, with UNEXPLAINED, tentative. rivals: alternatives, each with the effect that it would replace. tentative:
     further effects with a small gain that could be others. terms: with UNEXPLAINED, forces that describe the gap, best
-    first (terms/). gap_unseen_before, gap_after_unseen: on records outside every decision. explained: share of the
-    excess of twice the log likelihood, each record predicted without its fold, with the allowed error of the formulas;
+    first (terms/). explanations: with CLASS, those that the next experiment was chosen among, the found one first: [value, low,
+    high] of each number, and a weight. gap_unseen_before, gap_after_unseen: on records outside every decision. explained: share
+    of the excess of twice the log likelihood, each record predicted without its fold, with the allowed error of the formulas;
     it is no share of the gap, and the residual may grow beside it. over_floor: its mean square over the floor before and after,
     of the searched and the unseen records. steps: the rounds, decide.step_table.
     """
@@ -67,6 +68,7 @@ class Verdict:
     explained: float = 0.0
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    explanations: tuple[dict, ...] = ()
     next_experiment: str = ""
     patched_model: str = ""
     gates: dict = field(default_factory=dict)

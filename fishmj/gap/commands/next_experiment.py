@@ -68,13 +68,13 @@ def main(argv: list[str]) -> int:
         return next_robot(args)
     null = SimulatedNull(runs=args.null_runs, noise=args.noise, seed=args.seed)
     try:
-        answer, model, sides, like = _opened(args, null)
+        answer, model, sides, like, advised = _opened(args, null)
     except admission.TooDifferent as different:
         return different.told(args.json)
     if len(sides) < 2:
-        console.say(f"{answer}: fewer than two explanations are left; no experiment has to decide between any")
+        console.say(f"{answer}: {advised or 'fewer than two explanations are left; no experiment has to decide between any'}")
         if args.json:
-            console.emit_json({"answer": answer, "experiments": []})
+            console.emit_json({"answer": answer, "experiments": []} | ({"advice": advised} if advised else {}))
         return console.OK
     runs = _runs(args.runs, sides)
     compile_kernel(model, console.say)
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
 
 
 def _opened(args, null: SimulatedNull):
-    """(answer, model, sides, a record) of a report or a data set."""
+    """(answer, model, sides, a record, the search's own advice) of a report or a data set."""
     report = args.source / "verdict.json" if args.source.is_dir() else args.source
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.laboratory.virtual_robot import generate
@@ -97,7 +97,8 @@ def _opened(args, null: SimulatedNull):
         context = verdict.get("context", {})
         model = _questioned(args.model or _model_of(context), context.get("water", STRUCTURED))
         usual = record_of(generate({}, ["idle"], 0, robot=model.robot)[0], model.dt)  # has the usual sensors of this robot
-        return verdict["answer"], model, normalise_weights(_reported(model, verdict)), usual
+        sides = normalise_weights(_reported(model, verdict))
+        return verdict["answer"], model, sides, usual, verdict["next_experiment"]
     name = args.model or "fish"
     model = _questioned(name, STRUCTURED)
     given, _ = admission.admitted(args.source, model.robot, name, args.same_robot, args.anyway)
@@ -114,8 +115,9 @@ def _opened(args, null: SimulatedNull):
     )
     found = inquiry.verdict
     if found.answer not in OPEN:
-        return found.answer, model, [], inquiry.records[0]
-    return found.answer, model, normalise_weights(hypotheses_of(inquiry.found, found)), inquiry.records[0]
+        return found.answer, model, [], inquiry.records[0], ""
+    sides = normalise_weights(hypotheses_of(inquiry.found, found))
+    return found.answer, model, sides, inquiry.records[0], found.next_experiment
 
 
 def _model_of(context: dict) -> str:
@@ -140,9 +142,13 @@ def _reported(model, verdict: dict) -> list[Hypothesis]:
     """Hypotheses of a verdict.json."""
     if verdict["answer"] not in OPEN:
         return []
+    if len(given := verdict["explanations"]) > 1:
+        return [from_plain(model, one["values"], one["weight"]) for one in given[:LEFT]]
     ours = {e["name"]: {k: [v["value"], v["low"], v["high"]] for k, v in e["parameters"].items()} for e in verdict["effects"]}
     rivals = [r for r in verdict["rivals"] if "values" in r]
     if not rivals:
+        if verdict["next_experiment"]:
+            return []
         raise LogError("gap next: the report lists no rival with values; give the data set itself: gap next DATA")
     best = min([1.0, *(e["p_best"] for e in verdict["effects"])])
     return [from_plain(model, ours, best), *(from_plain(model, r["values"], r["p_best"]) for r in rivals[: LEFT - 1])]

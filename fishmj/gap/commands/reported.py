@@ -63,10 +63,18 @@ class _Named(_ReportTable):
     p_best: Finite = 1.0
 
 
+Values = dict[Effect, dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)]]]  # [value, low, high]
+
+
 class _Rival(_ReportTable):
     name: Rival
     p_best: Finite = 0.0
-    values: dict[Effect, dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)]]] | None = None
+    values: Values | None = None
+
+
+class _Explanation(_ReportTable):
+    values: Values
+    weight: Finite
 
 
 class _Null(_ReportTable):
@@ -91,6 +99,8 @@ class _Verdict(_ReportTable):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
     effects: list[_Named]
     rivals: list[_Rival] = []
+    explanations: list[_Explanation] = []
+    next_experiment: Text = ""
     context: _Context | None = None
 
 
