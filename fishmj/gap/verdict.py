@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, field
 
-from fishmj.gap.wording import level, number, pair, percent, sizes, title
+from fishmj.gap.wording import level, number, pair, percent, sizes, title, untold
 
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
@@ -144,7 +144,7 @@ class Verdict:
         lines = [f"{self.answer}: {self.reason}"]
         doubt = "tentative: " if self.answer == "UNEXPLAINED" else ""
         for e in self.effects:
-            lines.append(f"  {doubt}{sizes(e.name, e.parameters)}")
+            lines.append("; ".join(filter(None, (f"  {doubt}{sizes(e.name, e.parameters)}", *self.doubts(e)))))
             lines += [f"    or, the same on this robot in any motion: {alike}" for alike in e.equals()]
             lines += [f"    P(best), largest first: {self.ranking(e)}"] * self.taken
         if self.taken:
@@ -167,6 +167,13 @@ class Verdict:
         mine = [r for r in self.rivals if r.get("instead_of", self.effects[-1].name) == e.name]
         rivals = [(str(r["name"]), float(r["p_best"])) for r in mine]
         return sorted([(e.name, e.p_best), *rivals], key=lambda pair: -pair[1])
+
+    def doubts(self, e: NamedEffect) -> list[str]:
+        """Doubts about one effect, to stand beside its size: another one wins more redraws, or the size may be none."""
+        (first, share), rest = self.standing(e)[0], untold(e.parameters)
+        ahead = self.taken and share > e.p_best
+        leads = [f"not the likeliest: {title(first)} wins {share:.2f} of the redraws, this one {e.p_best:.2f}"] * ahead
+        return [*leads, rest] if rest else leads
 
     def ranking(self, e: NamedEffect) -> str:
         """`standing` in words."""

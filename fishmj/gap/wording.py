@@ -64,3 +64,11 @@ def sizes(name: str, parameters: dict, alone: bool = False) -> str:
     text = lambda p: quantity(p.value, p.unit, getattr(p, "low", None), getattr(p, "high", None))
     values = [f"{title(k) + ' ' if many else ''}{text(p)}" for k, p in parameters.items()]
     return f"{'' if alone else title(name) + ' '}{', '.join(values)}"
+
+
+def untold(parameters: dict) -> str:
+    """Doubt about the size of an effect whose interval holds 0; "" if there is none. parameters: of a `NamedEffect`."""
+    units = [p.unit for p in parameters.values()][:1]
+    main = [p for p in parameters.values() if p.unit in units]  # a shape has another unit
+    holds = bool(main) and all(getattr(p, "low", 1.0) <= 0.0 <= getattr(p, "high", -1.0) for p in main)
+    return "not told from none: its interval holds 0" if holds else ""

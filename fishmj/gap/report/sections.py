@@ -49,9 +49,10 @@ def value(m: ReportData) -> str:
         return ""
     tentative = v.answer == "UNEXPLAINED"
     shown = " · ".join(sizes(n.name, n.parameters, len(v.effects) == 1 and not tentative) for n in v.effects)
+    doubts = "".join(f". {sentence(doubt)[:-1]}" for e in v.effects for doubt in v.doubts(e))
     if tentative:
-        return part("told", f"tentative: {shown}", "small")
-    return part("told", pages.escaped(f"{shown} ") + part("small", "90\u00a0% interval"), "value")
+        return part("told", f"tentative: {shown}{doubts}", "small")
+    return part("told", pages.escaped(f"{shown} ") + part("small", f"90\u00a0% interval{doubts}"), "value")
 
 
 def figures(m: ReportData) -> list[tuple[str, str]]:
@@ -264,6 +265,8 @@ def headline(v: Verdict) -> str:
     if v.answer == "CLASS":
         others = list(dict.fromkeys(title(str(r["name"])) for r in v.rivals))
         found = " and ".join(names)
+        if len(v.effects) == 1 and others:  # the likeliest first
+            found, *others = dict.fromkeys(title(name) for name, _ in v.standing(v.effects[0]))
         return f"Missing: {' or '.join([found, *others])}" if others else f"Perhaps {found}, a stand-in"
     if v.answer == "UNEXPLAINED":
         return "Something is missing that the catalogue does not explain"
