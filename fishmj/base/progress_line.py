@@ -19,8 +19,8 @@ class Progress:
         with Progress(1_000_000, "train", unit="steps") as bar:
             bar.update(done, reward=0.4)
 
-    The time left comes from the last `MEMORY` seconds of progress. Until the first progress a command may have compiled: that
-    rate gives an upper bound of the time left, shown as `at most`, and no longer counts after the second.
+    The time left comes from the last `MEMORY` seconds of progress. Until the first progress a command may have compiled: no time
+    left is shown before the second, and that start no longer counts.
     """
 
     def __init__(
@@ -122,8 +122,9 @@ class Progress:
         done = self._seen[-1][1]
         part = min(done / self.total, 1.0) if self.total else 1.0
         rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell
-        bound = "at most " if (self._starting or self._at_most) and math.isfinite(self.left) else ""
-        ahead = f"{bound}{duration(self.left)} left" if part < 1 else f"took {duration(self.elapsed)}"
+        left = math.inf if self._starting else self.left
+        bound = "at most " if self._at_most and math.isfinite(left) else ""
+        ahead = f"{bound}{duration(left)} left" if part < 1 else f"took {duration(self.elapsed)}"
         figures = "".join(f"  {name} {cell(value)}" for name, value in fields.items())
         return f"{self.label} [{'#' * int(20 * part):<20}] {100 * part:3.0f} %  {_short(rate)} {self.unit}/s  {ahead}{figures}"
 
