@@ -52,7 +52,9 @@ class LearnedController:
         self.anyway = anyway
         found = self._fit(robot)
         if found.refused:
-            raise ConfigError(f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {self._remedy(robot)}")
+            raise ConfigError(
+                f"policy {source} cannot steer robot {robot.name}: {'; '.join(found.refused)}; {self._remedy(robot)}"
+            )
         taken = (f"taken from {path}",) if of_a_run and not shipped else ()
         self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
 
