@@ -59,7 +59,7 @@ class LearnedController:
         self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
 
     def _remedy(self, robot: Robot) -> str:
-        """What to do where the policy does not fit this robot."""
+        """Advice where the policy does not fit this robot."""
         own = str(self.policy.meta.get("robot", robot.name))
         return f"it was trained for {shown(own)}: name that one, --robot FILE; or {OTHERS}" if own != robot.name else OTHERS
 
