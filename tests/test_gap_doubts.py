@@ -1,4 +1,4 @@
-"""What stands beside an effect that is not the likeliest, or whose size may be none: the same in a terminal and on the page."""
+"""Doubts about an effect, in the terminal and on the page: another one is likelier, or its size may be zero."""
 
 from types import SimpleNamespace
 
@@ -17,7 +17,7 @@ def found(answer: str, p_best: float, parameters: dict[str, Value] = SHEAR) -> V
     return Verdict(answer, effects=(effect,), rivals=(STEADY,), reason="made up", gates={"closure": 0.9})
 
 
-def told(v: Verdict) -> tuple[str, str]:
+def terminal_and_page(v: Verdict) -> tuple[str, str]:
     """The effect's line in a terminal, and on the page."""
     (line,) = [line for line in v.text().splitlines() if "0.02 (" in line]
     return line, sections.value(SimpleNamespace(inquiry=SimpleNamespace(verdict=v)))
@@ -25,15 +25,15 @@ def told(v: Verdict) -> tuple[str, str]:
 
 @pytest.mark.parametrize("answer", ["CLASS", "UNEXPLAINED"])
 def test_effect_that_does_not_lead_is_said_not_to(answer):
-    for text in told(found(answer, 0.20)):
+    for text in terminal_and_page(found(answer, 0.20)):
         assert "ot the likeliest: steady current wins 0.61 of the redraws, this one 0.20" in text
-    for text in told(found(answer, 0.9)):
+    for text in terminal_and_page(found(answer, 0.9)):
         assert "likeliest" not in text and "not told" not in text
 
 
 def test_size_whose_interval_holds_none_is_said_to():
     doubtful = {"shear": Value(0.02, "1/s", -0.01, 0.05), "delay": Value(0.3, "s", 0.2, 0.4)}
-    for text in told(found("CLASS", 0.9, doubtful)):
+    for text in terminal_and_page(found("CLASS", 0.9, doubtful)):
         assert "ot told from none: its interval holds 0" in text
     one_axis = {"x": Value(0.14, "m/s", 0.1, 0.2), "y": Value(0.0, "m/s", -0.1, 0.1)}
     assert untold(one_axis) == "" and untold({}) == ""

@@ -17,7 +17,7 @@ CURRENT = NamedEffect("steady_current", {"x": Value(0.03, "m/s", 0.02, 0.04)}, 1
 
 
 def page_of(gain: float = 5000.0, accepted: bool = True, **checks: float) -> SimpleNamespace:
-    """What the sections read of a search with an effect."""
+    """Report data of a search with one effect, as the sections of the page read it."""
     verdict = Verdict("NAMED", effects=(CURRENT,), gates=HELD | checks)
     found = SimpleNamespace(steps=[SimpleNamespace(gain=gain, accepted=accepted)])
     return SimpleNamespace(inquiry=SimpleNamespace(verdict=verdict, found=found), gates=frozen(), weighed="")

@@ -420,7 +420,7 @@ def test_a_heading_folded_into_half_a_turn_is_an_axis(low, rate):
 
 
 def test_a_heading_that_turns_back_at_half_a_turn_is_told():
-    """As by an arc cosine or an arc sine, which know no direction across their axis."""
+    """Headings by an arc cosine or an arc sine cover half a turn only."""
     for fold, edges in ((np.arccos, np.cos), "at 0 and 180 deg"), ((np.arcsin, np.sin), "at -90 and 90 deg"):
         bad = changed(turning(30.0, 0.3), "pose", yaw=lambda v, f=fold: f[0](f[1](v)))
         assert (

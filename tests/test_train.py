@@ -98,7 +98,7 @@ def test_an_assessment_is_finite_and_the_same_each_time(learner):
 def test_the_best_policy_is_the_one_with_the_greatest_return_and_a_noisy_share_of_fish_does_not_outweigh_it():
     made = lambda stayed, rmse, reward: {"stayed": stayed, "rmse_last10": rmse, "return": reward}
     assert is_better(made(0.1, 2.0, 3.0), None)
-    lucky, later = made(0.98535, 0.0901, 83.69), made(0.98242, 0.0890, 85.49)  # of one training, at a third of it and at its end
+    lucky, later = made(0.98535, 0.0901, 83.69), made(0.98438, 0.0893, 85.49)  # of one training, at a third of it and at its end
     assert is_better(later, lucky) and not is_better(lucky, later)
 
 

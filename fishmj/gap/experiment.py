@@ -68,13 +68,13 @@ class ExperimentScore(NamedTuple):
 
     def text(self) -> str:
         """Recommendation as a sentence."""
-        a, b = map(told, self.pair)
+        a, b = map(in_words, self.pair)
         expected = f"expected separation {self.sigma:.0f} sigma"
         return f"Run `{self.excitation}` ({self.seconds:.0f} s): {expected}; would decide between {a} and {b}."
 
 
-def told(label: str) -> str:
-    """An explanation in words, its effects joined by +, since `and` stands between two explanations."""
+def in_words(label: str) -> str:
+    """Words for an explanation: its effects joined by +, since `and` stands between two explanations."""
     return " + ".join(map(title, label.split("+")))
 
 
@@ -180,10 +180,11 @@ def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
     rows = [np.concatenate([s.row[None], s.moves]) for s in sides]
     sigma, other = max((mass_properties.separation(model, rows[0], r), s.label) for r, s in zip(rows[1:], sides[1:], strict=True))
     if sigma >= ENOUGH:
-        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {told(sides[0].label)} and {told(other)}."
+        ours = in_words(sides[0].label)
+        return f"{WEIGH}: expected separation {sigma:.0f} sigma; would decide between {ours} and {in_words(other)}."
     most = max(found, key=lambda p: p.sigma)
-    a, b = most.pair
-    text = f"No experiment tried separates {told(a)} from {told(b)} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
+    a, b = map(in_words, most.pair)
+    text = f"No experiment tried separates {a} from {b} by more than {most.sigma:.1f} sigma (`{most.excitation}`)"
     same = next((c for x in sides[0].names for y in sides[1].names if (c := together(x, y))), None)
     return f"{text}: {same.splits}." if same else f"{text}; repeat it, or measure what tells them apart directly."
 

@@ -11,14 +11,13 @@ from typing import Any
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
 from fishmj.base.plain_file import why_unreadable
-from fishmj.mjcf.description import Timing
+from fishmj.mjcf.description import LIFT_ROUNDED, Timing
 from fishmj.mjcf.description_schema import KeyFault, shown
 from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
 ROUNDED = 0.01  # of the mass: mass_total may be rounded
-LIFT_ROUNDED = 1e-6  # lift_a and lift_b are written in nine digits, so that a fitted sum of 0.5 may be less
 NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
 # values beyond these are unlikely

@@ -15,6 +15,7 @@ packet of one servo with another length than READ is a status.
 """
 
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import NamedTuple
@@ -70,7 +71,7 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-class _Framing:
+class _Framing(ABC):
     """Header, length, and the address and count (`span`) of packets.
 
     known: bytes after which the length of the rest is known. least: bytes of a packet.
@@ -81,9 +82,9 @@ class _Framing:
     least: int
     span: struct.Struct
 
+    @abstractmethod
     def encode(self, servo: int, instruction: Instruction, data: bytes = b"", error: int = 0) -> bytes:
         """A packet; error: of STATUS only. Raises ProtocolError: an impossible id or length."""
-        raise NotImplementedError
 
     def sync_write(self, address: int, values: Mapping[int, bytes]) -> bytes:
         """Packet that writes an equal number of bytes to each servo, without answers."""

@@ -10,9 +10,8 @@ from fishmj.gap.calibrate.servo_fit import OPEN
 from fishmj.gap.calibrate.water_fit import SLOW, WaterFit, loose_servo
 from fishmj.log import Trial
 
-POOR = (
-    0.1  # mean relative speed error on unseen swims; robots whose truth is known: 0.04 to 0.06 (docs/search/calibrated_water.md)
-)
+# mean relative speed error on unseen swims; robots whose truth is known: 0.04 to 0.06 (docs/search/calibrated_water.md)
+POOR = 0.1
 
 
 def unnamed(trials: Iterable[Trial]) -> list[str]:
@@ -59,11 +58,8 @@ def doubts(found: WaterFit) -> list[str]:
 def too_poor(found: WaterFit) -> str:
     """Warning if the mean speed error on unseen swims is above `POOR`; else ""."""
     off = found.speed_error.value
-    return (
-        f"too poor to search with: {100 * off:.1f} % mean speed error on unseen swims, above {100 * POOR:g} %"
-        if off > POOR
-        else ""
-    )
+    words = f"too poor to search with: {100 * off:.1f} % mean speed error on unseen swims, above {100 * POOR:g} %"
+    return words if off > POOR else ""
 
 
 def _unstated(model: "str | Path") -> list[str]:

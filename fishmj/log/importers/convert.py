@@ -356,8 +356,9 @@ def _set_back(t: np.ndarray) -> float:
         if len(around) == 2 * EVEN:
             step = float(np.median(np.diff(around)))
             own = around - step * np.arange(2 * EVEN)
-            if max(np.ptp(own[:EVEN]), np.ptp(own[EVEN:])) < 0.5 * step < step < np.median(own[:EVEN]) - np.median(own[EVEN:]):
-                return float(np.median(own[:EVEN]) - np.median(own[EVEN:]))
+            back = float(np.median(own[:EVEN]) - np.median(own[EVEN:]))
+            if max(np.ptp(own[:EVEN]), np.ptp(own[EVEN:])) < 0.5 * step < step < back:
+                return back
     return 0.0
 
 

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fishmj.base.errors import ConfigError
+from fishmj.mjcf.description import LIFT_ROUNDED
 from fishmj.mjcf.geometry import Geometry
 
 SHAPE = {"edge_place": 1.0, "tail_held": 0.0, "linear_drag": 0.0}  # numbers of the strips' shape, and what an unset one is
@@ -92,7 +93,7 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
         raise ConfigError(f"[water]: residual = {c.residual}; a share from 0 to 2 of the learnt residual, 1 as fitted")
     if not 0.0 <= c.suction <= 1.0:
         raise ConfigError(f"[water]: suction = {c.suction}; a share from 0, none recovered, to 1, all of it")
-    if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5 - 1e-6:  # rounded in a file
+    if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5 - LIFT_ROUNDED:
         raise ConfigError(f"[water]: lift_a = {c.lift_a}, lift_b = {c.lift_b} can feed energy; need both >= 0 and a + b >= 0.5")
     return c
 
