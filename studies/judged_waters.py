@@ -24,7 +24,7 @@ HERE = Path(__file__).resolve().parent
 FISH = HERE.parent / "data" / "calib" / "fish.toml"
 OUT = Path("runs") / "judged_waters"
 NAME = "station-family"
-TRIALS = ("--water", "lbm", "--tanks", "24", "--repeats", "1", "--device", "cuda")
+TRIALS = ("--water", "lbm", "--tanks", "24", "--device", "cuda")
 OTHERS, REFERENCE, PLAIN, STILL = (
     HERE / folder / "rows" / f"{name}.csv"
     for folder, name in (
@@ -45,6 +45,7 @@ class Condition(NamedTuple):
     changes: tuple[tuple[str, str], ...] = ()
     tables: tuple[Path, ...] = (OTHERS,)
     seed: int = 9
+    repeats: int = 1
 
 
 def mass(kg: float) -> tuple[tuple[str, str], ...]:
@@ -84,7 +85,7 @@ CONDITIONS = {
     "reference-10": Condition("reference-2", "--reference", 104, seed=10),
     "reference-11": Condition("reference-2", "--reference", 104, seed=11),
     "at-target": Condition(
-        "reference-2", "--reference --task angle_of_attack --speeds 0 --repeats 2", 60, tables=(STILL,)
+        "reference-2", "--reference --task angle_of_attack --speeds 0", 60, tables=(STILL,), repeats=2
     ),
     "reference-3": Condition("reference-3", "--reference reference-3", 200, tables=(REFERENCE,)),
     "low-reynolds": Condition("low-reynolds", "--reference low-reynolds", 600, tables=(REFERENCE,)),
@@ -111,7 +112,7 @@ def robot_of(name: str) -> list[str]:
 def command(policy: str, name: str) -> list[str]:
     """Arguments of `fishmj evaluate` for a condition."""
     made = CONDITIONS[name]
-    options = [*TRIALS, "--seed", str(made.seed), *shlex.split(made.options)]
+    options = [*TRIALS, "--repeats", str(made.repeats), "--seed", str(made.seed), *shlex.split(made.options)]
     return [policy, *options, *robot_of(name), "--out", str(OUT / name)]
 
 

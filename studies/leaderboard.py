@@ -40,7 +40,7 @@ WATERS = {  # of the CPU: name -> heading
 CURVE_OF = {
     "paper": "ppo-planar-1.jsonl",
     "paper-sac": "sac-1.jsonl",
-    "station-family": "ppo-family-1.jsonl",
+    "station-family": "ppo-family-3.jsonl",
     "station-sb3": "sb3-ppo-0.jsonl",
 }
 CONDITION = "flow 0.1/0.2/0.3 m/s, default turbulence 5 %, water lbm"  # of SOLVER
@@ -48,7 +48,7 @@ WEIGHTS = {  # digest of the arrays that the flow solver judged: a policy traine
     "paper": "30be15fc7745b3de5c71abceefa1cb316fc0ca8e2c0e5ea40991ed788cf97703",
     "pilot": "f73d422ad9ab2e6acafd3b1eb236210eb6972799244d7354069dc12ea52383b6",
     "station": "9bd216c1096445e789053ce72d72575e4437baaa49182d8d06c0b7e6ca766ee2",
-    "station-family": "324e7537c139cf03d15c2b5bfba4ce17df8cc4d3308734e7964d9859b7ca30c2",
+    "station-family": "8cbd0d58cbfabf5d1eb813b800cfa258d42ee4d26701a96996e96d8fd88cbfa0",
     "station-sac": "4a3c88ca054e9ba543e943c149920281f4a7a2696e00773758caf76bd497f871",
 }
 
@@ -136,7 +136,7 @@ def solved(rows: SolverRows) -> dict[str, dict]:
     found: dict[str, dict] = {}
     for name in rows.controllers:
         mine = [line for line in lines if FORMER.get(line["controller"], line["controller"]) == name]
-        if name in shipped() and arrays_sha256(name) != WEIGHTS.get(name):
+        if not mine or (name in shipped() and arrays_sha256(name) != WEIGHTS.get(name)):
             continue
         figures = {key: np.array([float(line[key] or "nan") for line in mine]) for key in KEYS}
         speeds, after = np.array([line["speed"] for line in mine]), figures["rmse_after_arrival"]

@@ -76,12 +76,12 @@ def test_the_robot_of_the_header_is_taken_without_a_word(tmp_path):
     assert control.make(stored(tmp_path, header()), ROBOT).notes == ()
 
 
-@pytest.mark.parametrize("water", ["family", "swift", "swift-reference", "swift-slip095"])
+@pytest.mark.parametrize("water", ["family", "swift", "swift-reference-b", "swift-slip095"])
 def test_a_member_of_the_family_of_the_training_is_taken_without_a_word(water):
     assert control.make("station-family", in_water(load_robot("fish"), water)).notes == ()
 
 
-@pytest.mark.parametrize("water", ["structured", "swift-base", "swift#2", "swift-noslip"])
+@pytest.mark.parametrize("water", ["structured", "swift-base", "swift#2", "swift-reference"])
 def test_a_water_outside_the_family_of_the_training_is_noted(tmp_path, water):
     (note,) = control.make("station-family", robot := in_water(load_robot("fish"), water)).notes
     assert f"not as trained: water swift-family, here {water.replace('#', '.')}" in note

@@ -32,7 +32,7 @@ DRAWS = np.random.default_rng(1).random((200, FAMILY.width))
 def test_a_family_is_chosen_by_its_kind_or_name_and_said_with_its_slip_ratios():
     said = chosen(load_robot("fish"), "family").said
     assert "draws a water between the fits swift (slip 1), " in said
-    assert "swift-slip098 (slip 0.98)" in said and "swift-reference (slip 0.99)" in said
+    assert "swift-slip098 (slip 0.98)" in said and "swift-reference-b (slip 0.99)" in said
     assert family_in(FISH).sha256 == FAMILY.sha256 and family_in(load_robot("fish")) is None and family_of("swift") is None
     assert water_identity(FISH) == {"name": "swift-family", "kind": "family", "sha256": FAMILY.sha256}
     with pytest.raises(ConfigError, match="another body|none is fitted|family"):
