@@ -7,7 +7,7 @@
 `drift` swims pieces of 4 s in the fit from the solver's states, after the first 10 s, and prints by how much the velocity of
 the last second is off. `solve` needs a GPU (24 tanks; 84 s on one H200), `refit` does not (1,200 s of swims: 2.5 min on two
 cores). The solver's water is that of the fit: its box, boundary and slip ratio. It differs from `fishmj hydro_fit correct` in
-its streams: every second episode is in water at rest, without turbulence, the others at 0.004 to 0.046 m/s. `--middle` adds
+its streams: every second episode is in water at rest, without turbulence, the others below `--fastest`. `--middle` adds
 the short segments from the fit's states half-way. `--most` is the limit of swims in a fit. *synthetic*
 """
 
@@ -35,17 +35,16 @@ from fishmj.water.prior import flat
 
 EPISODES = 24
 VALIDATE = (4, 11, 16, 23)  # two of either kind
-FASTEST = 0.05  # m/s
 SETTLED, SWIM = 10.0, 4.0  # s of an episode that `drift` leaves out; of a piece
 
 
-def episodes(robot: Robot, policies: list[str], seed: int, seconds: float, slip: float) -> list[Segment]:
-    """Episodes in and near still water, two of each policy in turn."""
+def episodes(robot: Robot, policies: list[str], seed: int, seconds: float, slip: float, fastest: float) -> list[Segment]:
+    """Episodes in still water and in streams below `fastest` (m/s) in turn, two of each policy."""
     drawn = [plans.on_policy(robot, policy, episodes=EPISODES, seconds=seconds, seed=seed, slip=slip) for policy in policies]
     made = []
     for k in range(EPISODES):
         rest, segment = k % 2 == 0, drawn[k // 2 % len(policies)].segments[k]
-        flow = replace(segment.flow, speed=0.0 if rest else FASTEST * (k % 12) / 12)
+        flow = replace(segment.flow, speed=0.0 if rest else fastest * (k % 12) / 12)
         flow = replace(flow, turbulence="none") if rest else flow
         made.append(replace(segment, flow=flow, split="val" if k in VALIDATE else "train"))
     return made
@@ -54,7 +53,8 @@ def episodes(robot: Robot, policies: list[str], seed: int, seconds: float, slip:
 def solve(given) -> int:
     """Swims the episodes in the fitted water and in the solver, and prints the mean returns of both."""
     robot, model = load_robot("fish"), HydroModel.load(given.water)
-    rolls = dagger.roll_outs(robot, model, episodes(robot, given.policies, given.seed, given.seconds, model.slip))
+    drawn = episodes(robot, given.policies, given.seed, given.seconds, model.slip, given.fastest)
+    rolls = dagger.roll_outs(robot, model, drawn)
     plan = dagger.round_plan(robot, ", ".join(given.policies), rolls, given.seed)
     if not given.middle:
         plan = replace(plan, segments=tuple(segment for segment, _ in rolls))
@@ -107,6 +107,7 @@ def main(argv: list[str] | None = None) -> int:
     add("policies", nargs="+", metavar="POLICY", help="name or file")
     add("--seed", type=int, required=True, help="of the draws of the episodes")
     add("--seconds", type=float, default=30.0, help="of an episode (default: 30)")
+    add("--fastest", type=float, default=0.05, help="bound of the streams, m/s (default: 0.05)")
     add("--middle", action="store_true", help="short segments from the fit's states, too")
     add("--device", default="cuda:all", help="of the solver (default: cuda:all)")
     for function in (refit, drift):
