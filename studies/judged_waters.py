@@ -77,6 +77,7 @@ CONDITIONS = {
         "reference-2, commands 85 ms later", "--reference", 110, ((r"command_latency = 0\.060", "command_latency = 0.145"),)
     ),
     "gusts": Condition("reference-2, gusts of 25 %", "--reference --turbulence gust --intensity 0.25", 110),
+    "turbulence": Condition("reference-2, turbulence of 25 %", "--reference --intensity 0.25", 110),
     "heavy": Condition("reference-2, mass 20 % more", "--reference", 105, mass(0.22)),
     "light": Condition("reference-2, mass 20 % less", "--reference", 105, mass(-0.22)),
     "weak": Condition("reference-2, servo gains 20 % less", "--reference", 105, ((r"\nkp = 8\.0", "\nkp = 6.4"),)),
