@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from training import CALM, Point, calm_run
 
 from fishmj import mjcf
 from fishmj.base import console
+from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError
 from fishmj.control.learned import body_of
 from fishmj.control.policy import Policy
@@ -167,6 +169,15 @@ def test_stream_speeds_episode_and_control_step_of_a_run():
     assert env.limit == 30 and env.robot.timing.control_dt == 0.1
     still = environment(change(asked_for("--flow-speeds", "0", "--engine", "planar"), task=CALM)).reset(jax.random.key(0), 8)
     np.testing.assert_allclose(still.current.mean, 0.0, atol=1e-7)
+
+
+def test_a_run_has_the_timing_of_its_robot_unless_told_another(tmp_path):
+    text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
+    text = re.sub("^control_dt *= *0.2", "control_dt = 0.1", text, flags=re.MULTILINE).replace('"linear"', '"hold"')
+    (tmp_path / "held.toml").write_text(text, encoding="utf-8")
+    timing = lambda *more: settled(asked_for("--robot", str(tmp_path / "held.toml"), *more))
+    assert (timing().control_dt, timing().command_path) == (0.1, "hold")
+    assert robot_for(timing("--command-path", "linear")).timing.command_path == "linear" == settled(asked_for()).command_path
 
 
 def test_stated_range_of_the_task_changes_no_draw():

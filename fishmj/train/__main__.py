@@ -112,7 +112,7 @@ def options() -> console.Parser:
     step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often"
     add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step} (default: the robot's, 0.2 for fish)")
     way = "servo commands between two decisions. linear: on the way to the new angles; hold: the new angles at once;"
-    way += " move_time: linear, and the servo interpolates too (default: linear)"
+    way += " move_time: linear, and the servo interpolates too (default: the robot's, linear for fish)"
     add("--command-path", choices=COMMAND_PATHS, help=way)
     add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
     add("--water", type=console.text, help=choice.HELP)

@@ -39,7 +39,7 @@ def robot_for(settings: Settings):
     Raises UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
     """
     robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
-    return with_timing(robot, settings.control_dt or None, settings.command_path, "train --control-dt")
+    return with_timing(robot, settings.control_dt or None, settings.command_path or None, "train --control-dt")
 
 
 def water_for(settings: Settings) -> WaterChoice:
@@ -53,7 +53,7 @@ def water_for(settings: Settings) -> WaterChoice:
 
 
 def settled(settings: Settings) -> Settings:
-    """Settings with all open values filled in: water by name, control step, hyperparameters, the task's options and reward.
+    """Settings with all open values filled in: water by name, timing, hyperparameters, the task's options and reward.
 
     A run keeps these, so that it continues with them even if a default changes later.
 
@@ -75,6 +75,7 @@ def settled(settings: Settings) -> Settings:
     algorithm = _written(config_of(settings))
     return change(
         replace(settings, water=water),
+        command_path=robot.timing.command_path,
         control_dt=float(robot.timing.control_dt),
         task=task,
         algorithm=algorithm,

@@ -65,7 +65,8 @@ def train_and_correct(
 
     Raises ConfigError: the folder holds another run, or the water cannot be refitted; KeyboardInterrupt: a training was stopped.
     """
-    robot = with_timing(load_robot(settings.robot), settings.control_dt or None, settings.command_path, "train --control-dt")
+    step, path = settings.control_dt or None, settings.command_path or None
+    robot = with_timing(load_robot(settings.robot), step, path, "train --control-dt")
     model = first_water(settings, slip)
     tank = water_of_fit(model.dataset, model.slip, domain)
     about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": tank.box.name, "steps": steps}

@@ -93,7 +93,7 @@ class Settings:
     engine: str = "auto"
     robot: str = "fish"
     water: str = "auto"  # of fishmj.water.choice; auto: fitted where the robot has one
-    command_path: str = "linear"
+    command_path: str = ""  # of the servo commands between two decisions; "": the robot's
     control_dt: float = 0.0  # s between two decisions; 0: the robot's
     steps: int = 8_000_000  # control steps, all fish together
     seed: int = 0
