@@ -7,6 +7,7 @@ import pytest
 
 from fishmj import control
 from fishmj.base import console
+from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control import koopman
 from fishmj.control.observer import FlowEstimate, forward
@@ -220,6 +221,13 @@ def test_the_tuner_writes_gains_that_are_read(bowl, tmp_path, capsys):
     before, text = len(bowl), file.read_text()
     assert tune_gains.main(["pnl", "--budget", "16", "--water", "structured", "--out", str(file)]) == console.OK
     assert len(bowl) == before and file.read_text() == text, "an interrupted command goes on with the controllers that are left"
+    own, fish = tmp_path / "my fish.toml", (calib_folder() / "fish.toml").read_text(encoding="utf-8")
+    own.write_text(fish.replace('name = "swift"', 'name = "other"'), encoding="utf-8")
+    assert (
+        tune_gains.main(["pnl", "--budget", "16", "--water", "structured", "--robot", str(own), "--out", str(file)]) == console.OK
+    )
+    assert len(bowl) > before and "--seed 0, of robot other (" in file.read_text(), "gains of another fish are not these"
+    assert f"fishmj evaluate {file}:pnl --robot '{own}' --water structured" in capsys.readouterr().out
 
 
 def test_the_score_of_gains_that_cannot_be_is_a_bound():

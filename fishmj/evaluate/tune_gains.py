@@ -9,6 +9,7 @@ first gains are.
 """
 
 import re
+import shlex
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from fishmj.control import gains_of, shipped_gains, tuned_names
 from fishmj.evaluate import metrics, protocol
 from fishmj.evaluate.run_trials import run
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 from fishmj.water.water_identity import water_identity
@@ -172,6 +174,8 @@ def main(argv: list[str]) -> int:
     text = args.out.read_text(encoding="utf-8") if args.out.is_file() else 'schema = "fishmj.controllers/1"\n'
     there = read_toml(args.out) if args.out.is_file() else {}
     source = f"tuned: fishmj tune {{}} --water {choice.label(robot)} --budget {args.budget} --seed {args.seed}"
+    if args.robot != "fish":
+        source += f", of robot {robot.name} ({robot_sha256(robot)[:12]})"
     rows: list[Tuning] = []
     for name in names:
         sources = [entry.get("source") for entry in there.get(name, {}).values() if isinstance(entry, dict)]
@@ -190,7 +194,8 @@ def main(argv: list[str]) -> int:
         kept.unlink(missing_ok=True)
         rows.append(found)
         console.say(f"{name}: score {found.first_score:.3f} before, {found.score:.3f} now, on 144 tuning trials of no candidate")
-    console.say(f"{args.out}: fishmj evaluate {args.out}:{names[0]} judges it")
+    same = ["--robot", args.robot, *(["--water", args.water] if args.water else [])]
+    console.say(f"judge it with: {shlex.join(['fishmj', 'evaluate', f'{args.out}:{names[0]}', *same])}")
     if rows and args.out.resolve().parent == calib_folder().resolve():
         console.warn("shipped gains changed: make manifest")
     if args.json:
