@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from policy_files import header, stored
 from scipy.stats import spearmanr
 from test_evaluate import hand_made
 from test_evaluate_tasks import on_path, swim
@@ -37,6 +38,7 @@ from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity
 from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup
 from fishmj.evaluate.run_trials import fingerprint, judge_in_solver
 from fishmj.lbm_oracle.run.solver_water import PLAIN
+from fishmj.mjcf.identity import structure_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 from fishmj.water.flow import sample, stack
@@ -150,6 +152,12 @@ def test_rank_correlation_is_spearmans():
     expected = [spearmanr(a, b).statistic for a, b in zip(one, other, strict=True)]
     assert input_saliency.rank_correlation(one, other) == pytest.approx(expected)
     assert input_saliency.rank_correlation(one, -one) == pytest.approx(-1)
+
+
+def test_a_policy_of_another_fish_is_refused_with_what_judges_it(tmp_path):
+    policy = stored(tmp_path, header(robot="mine", structure=structure_of(ROBOT) | {"lengths": [0.2, 0.1, 0.1, 0.1]}))
+    with pytest.raises(ConfigError, match="the experiments swim 'swift' only; fishmj evaluate --robot FILE judges a policy"):
+        _ = setup_of(tmp_path, policy=policy).brain
 
 
 def test_saliency_needs_a_policy(tmp_path):

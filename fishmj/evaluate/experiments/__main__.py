@@ -40,7 +40,9 @@ def options() -> console.Parser:
     names = f"{', '.join(MODULES)}, or {ALL}; none: the list"
     add("names", type=console.OneOf((*MODULES, ALL)), nargs="*", action=console.Distinct, metavar="NAME", help=names)
     add("--quick", action="store_true", help="fewer trials, short trainings: a preview of every part")
-    policy = f"{', '.join(control.shipped_policies())}, a policy file or the folder of a training; default {BEST}"
+    policy = (
+        f"{', '.join(control.shipped_policies())}, a policy file or folder of a training, of the default fish; default {BEST}"
+    )
     add("--policy", type=console.text, default=BEST, help=policy)
     solved = "lbm: the flow solver itself, hours without a GPU"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}")

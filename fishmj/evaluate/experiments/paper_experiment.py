@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fishmj import control, engines
+from fishmj.base.errors import ConfigError
 from fishmj.control import Controller
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
@@ -91,8 +92,12 @@ class ExperimentSetup:
 
     @cached_property
     def brain(self) -> Controller:
-        """The policy."""
-        return control.chosen(self.policy, self.robot)
+        """The policy. Raises ConfigError, UnknownName: one of another fish, or none."""
+        try:
+            return control.chosen(self.policy, self.robot)
+        except ConfigError as error:
+            todo = f"the experiments swim {self.robot.name!r} only; fishmj evaluate --robot FILE judges a policy of another fish"
+            raise ConfigError(f"{error}; {todo}") from error
 
     @property
     def leader(self) -> str:
