@@ -7,6 +7,7 @@ import json
 import re
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -44,6 +45,7 @@ def test_options_make_a_description_that_reads_back_and_swims(capsys, tmp_path):
     assert robot.servo == load_robot("fish").servo or robot.servo == replace(load_robot("fish").servo, idle_power=1.7)
     assert (tmp_path / "pike.png").read_bytes()[:4] == b"\x89PNG"
     assert "fishmj train --preset quick --robot pike.toml" in out
+    assert "--robot 'my pike.toml' --repeats 1" in verb.next_steps(Path("my pike.toml"), "pike")[3]
     text = (tmp_path / "pike.toml").read_text()
     assert "height 0.11 m: given on the command line" in text and "mass_total = 1.6 " in text
     assert "m from the nose: typical for this number of links, not measured" in text  # --links 5 says no place

@@ -5,6 +5,7 @@ import json
 import shlex
 
 import pytest
+from policy_files import header, stored
 
 from fishmj import cli
 from fishmj.base.errors import ConfigError, StoreError
@@ -134,6 +135,16 @@ def test_card_names_the_robot_of_the_training(capsys):
     assert cli.main(["policy", "station", "--json"]) == 0
     out = capsys.readouterr().out
     assert "trained for robot swift" in out and json.loads(out.splitlines()[-1])["robot"] == "swift"
+
+
+def test_a_policy_of_another_fish_that_was_not_judged_shows_its_curve_and_how_to_judge_it(tmp_path, capsys):
+    (folder := tmp_path / "my run").mkdir()
+    path = stored(folder, header(robot="mine"))
+    (folder / "metrics.jsonl").write_text(json.dumps({"step": 100, "seconds": 1.0, "reward": 0.123, "late_distance": 0.5}))
+    assert cli.main(["policy", path]) == 0
+    out = capsys.readouterr().out
+    assert f"judge it, `fishmj evaluate '{path}' --robot FILE --out DIR`, then `fishmj policy '{path}' --judged DIR`" in out
+    assert "0.123" in out and "not kept" not in out
 
 
 def test_policies_are_listed_side_by_side(capsys):

@@ -15,6 +15,7 @@ from a file.
 """
 
 import argparse
+import shlex
 from functools import cache
 from hashlib import sha256
 from importlib import import_module
@@ -218,7 +219,9 @@ def gains_of(section: str, changes: dict | None = None, file: "Path | None" = No
     if file is not None:
         table = read_toml(file).get(section)
         if not isinstance(table, dict):
-            raise ConfigError(f"{file}: has no section [{section}]; fishmj tune {section} --out {file} writes it")
+            raise ConfigError(
+                f"{file}: has no section [{section}]; fishmj tune {section} --out {shlex.quote(str(file))} writes it"
+            )
         stated = {key: entry.get("value") if isinstance(entry, dict) else entry for key, entry in table.items()}
         changes = {**stated, **(changes or {})}
     for key, value in (changes or {}).items():

@@ -7,6 +7,7 @@ A card belongs to the weights with its sha256. A policy without one has the card
 """
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -140,18 +141,24 @@ def make_card(source: str | Path, judged: Sequence[dict], curve: Path | None = N
 
 
 def read_card(source: str | Path) -> PolicyCard:
-    """Card of a policy from the file beside its weights; if there is none, that of its header alone.
+    """Card of a policy from the file beside its weights; if there is none, that of its header and its run's curve.
 
     Raises ConfigError: no card, or one of other weights; UnknownName, StoreError: no such policy, or a damaged card.
     """
     path = card_path(source)
     if not path.is_file():
-        return make_card(source, ())
+        return make_card(source, (), curve_beside(source))
     card = _checked(read_json(path), str(path))
     if card.sha256 != (digest := sha256(file_of(source))):
-        message = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}"
-        raise ConfigError(f"{message}; make it again with `fishmj policy {source} --judged DIR ..`, or remove it")
+        message, name = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}", shlex.quote(str(source))
+        raise ConfigError(f"{message}; make it again with `fishmj policy {name} --judged DIR ..`, or remove it")
     return card
+
+
+def curve_beside(source: str | Path) -> Path | None:
+    """Curve of the training in whose folder a policy lies, metrics.jsonl, or None."""
+    beside = file_of(source).with_name("metrics.jsonl")
+    return beside if beside.is_file() else None
 
 
 def write_card(card: PolicyCard, path: Path) -> Path:

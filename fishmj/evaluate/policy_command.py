@@ -1,5 +1,6 @@
 """A policy's card: its training, where it holds station and where not, its worst trial; export as ONNX."""
 
+import shlex
 from collections import Counter
 from typing import Any
 
@@ -7,8 +8,9 @@ from fishmj.base import console
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json
-from fishmj.control.policy import SHIPPED, Policy, file_of, shipped
-from fishmj.evaluate.policy_card import PolicyCard, WaterJudgement, card_path, make_card, read_card, write_card
+from fishmj.control.policy import SHIPPED, Policy, shipped
+from fishmj.evaluate.policy_card import PolicyCard, WaterJudgement, card_path, curve_beside, make_card, read_card, write_card
+from fishmj.mjcf.reading import load_robot
 
 EXAMPLES = """examples:
   fishmj policy                                    the shipped policies, side by side
@@ -38,8 +40,7 @@ def main(argv: list[str]) -> int:
         raise ConfigError("policy: --curve is of --judged; add it, or leave --curve out")
     answer: dict[str, Any] = {}
     if args.judged:
-        beside = file_of(args.policy).with_name("metrics.jsonl")
-        curve = args.curve or (beside if beside.is_file() else None)
+        curve = args.curve or curve_beside(args.policy)
         card = make_card(args.policy, [read_json(folder / "results.json") for folder in args.judged], curve)
         answer["card"] = write_card(card, card_path(args.policy))
     else:
@@ -96,7 +97,8 @@ def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
         "",
     ]
     if not card.judged:
-        text = f"judge it, `fishmj evaluate {source} --out DIR`, then `fishmj policy {source} --judged DIR`"
+        name, robot = shlex.quote(source), "" if meta.get("robot") == load_robot("fish").name else " --robot FILE"
+        text = f"judge it, `fishmj evaluate {name}{robot} --out DIR`, then `fishmj policy {name} --judged DIR`"
         return [*lines, f"where it holds: not judged; {text}"]
     radius = constant("protocol", "arrival_radius")
     lines += [f"where it holds (a trial holds if it arrives and stays within {radius:g} m RMS), 95 % intervals over trials"]

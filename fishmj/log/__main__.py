@@ -1,5 +1,6 @@
 """`python -m fishmj.log`: bring recordings in, check data sets, state what they hold, hand them to other programs."""
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -105,7 +106,7 @@ def _trials(path: Path) -> tuple[dict[str, Path], list[str]]:
     if path.is_dir() and not gather.is_own(path) and not (path / META_FILE).is_file():
         inside = sorted(sub for sub in path.iterdir() if sub.is_dir() and not sub.name.startswith(".") and gather.is_own(sub))
         if inside:
-            console.warn(f"{path}: has no {MANIFEST}; write it with fishmj log manifest {path}")
+            console.warn(f"{path}: has no {MANIFEST}; write it with fishmj log manifest {shlex.quote(str(path))}")
             return {sub.name: sub for sub in inside}, []
     return {path.name: path}, []
 

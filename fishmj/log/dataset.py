@@ -12,6 +12,7 @@ differences, which deflate packs tightly: half a kilobyte a second of a swim, a 
 import hashlib
 import json
 import os
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +124,7 @@ def take(folder: str | Path) -> Taken:
 
 def mend(folder: Path) -> str:
     """Advice on files that differ from the manifest of a folder."""
-    return f"restore it, or if the change is meant: fishmj log manifest {folder}"
+    return f"restore it, or if the change is meant: fishmj log manifest {shlex.quote(str(folder))}"
 
 
 def _signed(folder: Path) -> tuple[list[str], dict[str, str], tuple[str, ...], str]:

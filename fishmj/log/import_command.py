@@ -1,5 +1,6 @@
 """`fishmj log import`: import recordings with any column names."""
 
+import shlex
 import shutil
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
@@ -112,7 +113,8 @@ def main(argv: list[str], described: Described) -> int:
 
 def _run(args: Namespace, described: Described) -> int:
     if args.model is not None:
-        instead = f"fishmj gap find {args.source[0]} --model {args.model} reads a robot's logs as they are, without an import"
+        instead = shlex.join(["fishmj", "gap", "find", str(args.source[0]), "--model", str(args.model)])
+        instead += " reads a robot's logs as they are, without an import"
         raise UsageError(f"log import: --model: {instead}")
     if args.out is None and args.write_map is None:
         raise UsageError("log import: --out is missing; name the data set to write, or --write-map MAP.toml to see the guess")

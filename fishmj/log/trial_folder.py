@@ -5,6 +5,7 @@ Reading never edits the source. Writing builds the whole folder beside its place
 
 import os
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -63,7 +64,8 @@ def read_trial(path: str | Path) -> Trial:
         notes += told
     if not tables:
         if (path / JOURNAL).is_dir():
-            raise LogError(f"{path}: a swim under way, or one whose host was killed; then run: fishmj deploy recover {path}")
+            again = f"fishmj deploy recover {shlex.quote(str(path))}"
+            raise LogError(f"{path}: a swim under way, or one whose host was killed; then run: {again}")
         raise LogError(f"{path}: no table found; expected at least one of {', '.join(TABLES)} as .csv or .npz")
     notes += trial_check.check_counts(tables, meta)
     return Trial(meta, tables, name=path.name, notes=tuple(notes))

@@ -294,12 +294,12 @@ def tables(
         if place_name in session.skipped:
             console.warn(f"{place_name} was skipped: {session.skipped[place_name]}")
     if len(results) == 1:
-        again = same_trials(args)
-        where = session.folder / BESIDE
+        policy = f"{shlex.quote(str(args.policy))}{same_trials(args)} --log"
+        simulated, solver = (shlex.quote(str(session.folder / BESIDE / name)) for name in ("simulated", "solver"))
         console.say(
             "the same trials in simulated water, for the next tables:",
-            f"  fishmj evaluate {args.policy}{again} --log --out {where / 'simulated'}",
-            f"  fishmj evaluate {args.policy}{again} --log --water lbm --out {where / 'solver'}",
+            f"  fishmj evaluate {policy} --out {simulated}",
+            f"  fishmj evaluate {policy} --water lbm --out {solver}",
         )
     if args.json:
         console.emit_json({**found, "trials": sorted(logs), "skipped": session.skipped, "missing": unswum, "out": session.folder})

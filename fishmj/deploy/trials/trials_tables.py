@@ -9,6 +9,7 @@ A folder of `fishmj evaluate --out` beside it gives the same trials in another w
 """
 
 import csv
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -254,7 +255,7 @@ def worst_replay(out: Path, result: Result, places: Sequence[Place]) -> str:
 
     spec = result.trials.items[trial_report.worst(result)]
     name = next(place.name for place in places if place.spec == spec)
-    return f"fishmj replay {out / KEPT / name}"
+    return f"fishmj replay {shlex.quote(str(out / KEPT / name))}"
 
 
 def shown(results: list[Result], found: dict[str, Any]) -> None:

@@ -9,6 +9,7 @@ Readings: those of an encoder with a noise of NOISE, in segments as the search t
 no model explains are integrated out, for a CLASS also the tolerances of the constants.
 """
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -64,7 +65,7 @@ def next_robot(args: Any) -> int:
     pairs = pairs_of(verdict) if verdict else []
     if verdict and not pairs:
         none = "fewer than two explanations are left, so that none has to be decided between"
-        wide = f"what tells most about the whole robot: fishmj gap next {robot.path} --out experiment.csv"
+        wide = f"what tells most about the whole robot: fishmj gap next {shlex.quote(str(robot.path))} --out experiment.csv"
         console.say(f"{verdict['answer']}: {none}; nothing is written. {wide}")
         if args.json:
             console.emit_json({"answer": verdict["answer"], "experiments": []})

@@ -5,6 +5,7 @@ model is fitted without each group in turn. A term is named only if it lowers th
 and by an exact test over the groups.
 """
 
+import shlex
 from importlib import import_module
 from pathlib import Path
 
@@ -143,7 +144,7 @@ def new(path: Path, plant: str | None, as_json: bool) -> int:
         raise ConfigError(f"{path}: is there already; name another file, or remove it first")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, (TEMPLATES / f"{plant}.toml").read_text(encoding="utf-8"))
-    console.say(f"written: {path}; fill it in, then fishmj gap measured --study {path} --out report")
+    console.say(f"written: {path}; fill it in, then fishmj gap measured --study {shlex.quote(str(path))} --out report")
     if as_json:
         console.emit_json({"written": str(path), "plant": plant})
     return console.OK

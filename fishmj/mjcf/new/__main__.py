@@ -1,6 +1,7 @@
 """`python -m fishmj new`: describe your fish: eight answers, a table of sections or a photo become a checked description."""
 
 import argparse
+import shlex
 import sys
 import tomllib
 from pathlib import Path
@@ -184,14 +185,15 @@ def finish(args, files: dict[str, Path], fish, seen) -> int:
 
 def next_steps(path: Path, name: str) -> list[str]:
     """Lines with the next commands to type."""
+    own = shlex.quote(str(path))
     return [
         "next",
-        f"  fishmj play --robot {path} --controller drift                                     look at it",
-        f"  fishmj train --preset quick --robot {path} --out runs/{name}",
-        f"  fishmj evaluate runs/{name} --robot {path} --repeats 1",
+        f"  fishmj play --robot {own} --controller drift                                     look at it",
+        f"  fishmj train --preset quick --robot {own} --out runs/{name}",
+        f"  fishmj evaluate runs/{name} --robot {own} --repeats 1",
         "before a policy leaves the computer",
-        f"  fishmj hydro_fit --fish {path} --out runs/water     its water from the flow solver; without a GPU a preview",
-        f"  fishmj log import LOGS --out data/{name} --robot {path}     your own logs, then fishmj calibrate and fishmj gap find",
+        f"  fishmj hydro_fit --fish {own} --out runs/water     its water from the flow solver; without a GPU a preview",
+        f"  fishmj log import LOGS --out data/{name} --robot {own}     your own logs, then fishmj calibrate and fishmj gap find",
     ]
 
 
