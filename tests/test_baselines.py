@@ -182,6 +182,8 @@ def test_a_file_of_gains_steers_and_names_its_mistakes(tmp_path):
     assert (mine.k["position"], other.k["position"]) == (0.5, 0.75)
     assert mine.k["integral"] == control.make("pi", ROBOT).k["integral"]
     assert mine.name == "pi" and mine.sha256 != other.sha256
+    both = control.several([f"{file}:pi", "pi", f"{file}:pd"], ROBOT)
+    assert [getattr(one, "notes", ()) for one in both] == [(f"pi is {file}:pi",), ("pi-2 is pi",), ()]
     with pytest.raises(ConfigError, match=r"has no section \[dob\]"):
         control.make(f"{file}:dob", ROBOT)
     with pytest.raises(UnknownName, match="pii"):

@@ -186,18 +186,20 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
 
 
 def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:
-    """Makes controllers by `chosen` for a list; of two with one name (two best.safetensors) the second gets `-2`."""
+    """Makes controllers by `chosen` for a list; of two with one name (two best.safetensors) the second gets `-2`, with notes."""
     words, found = list(texts), {}
     for i in sorted(
         range(len(words)), key=lambda i: words[i] in CONTROLLERS
     ):  # last those that measure gaits: a mistyped name first
         found[i] = chosen(words[i], robot, **policy)
-    made = [found[i] for i in range(len(words))]
-    names: list[str] = []
-    for controller in made:
+    made: list[Any] = [found[i] for i in range(len(words))]
+    first, names = [controller.name for controller in made], []
+    for word, controller in zip(words, made, strict=True):
         same = [f"{controller.name[:60]}-{k}" for k in range(2, len(made) + 1)]
         controller.name = next(name for name in (controller.name, *same) if name not in names)
         names.append(controller.name)
+        if first.count(first[len(names) - 1]) > 1:
+            controller.notes = (*getattr(controller, "notes", ()), f"{controller.name} is {word}")
     return made
 
 

@@ -295,11 +295,11 @@ def tables(
             console.warn(f"{place_name} was skipped: {session.skipped[place_name]}")
     if len(results) == 1:
         policy = f"{shlex.quote(str(args.policy))}{same_trials(args)} --log"
-        simulated, solver = (shlex.quote(str(session.folder / BESIDE / name)) for name in ("simulated", "solver"))
+        fitted, solved = (shlex.quote(str(session.folder / BESIDE / name)) for name in ("simulated", "solver"))
         console.say(
             "the same trials in simulated water, for the next tables:",
-            f"  fishmj evaluate {policy} --out {simulated}",
-            f"  fishmj evaluate {policy} --water lbm --out {solver}",
+            f"  fishmj evaluate {policy} --out {fitted}",
+            f"  fishmj evaluate {policy} --water lbm --out {solved}",
         )
     if args.json:
         console.emit_json({**found, "trials": sorted(logs), "skipped": session.skipped, "missing": unswum, "out": session.folder})
