@@ -75,6 +75,7 @@ def test_the_decision_of_the_readme_compiles(tmp_path):
     write_header("station-family", tmp_path / "policy_constants.h")
     _, readme = re.findall(r"```c\n(.*?)```", (FIRMWARE / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     *made, reset, decide = readme.splitlines()
+    assert "/* For robot swift; decides every 0.2 s, on command path linear. */" in (tmp_path / "policy_constants.h").read_text()
     body = "\n".join(['#include "policy_constants.h"', *made, "bool step(void) {", reset, decide, "return finite; }", ""])
     (tmp_path / "readme.c").write_text(body)
     compiled(tmp_path / "readme.so", [tmp_path / "readme.c", FIRMWARE / "policy.c"], "-shared", "-fPIC", "-I", str(tmp_path))

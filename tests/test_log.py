@@ -160,7 +160,7 @@ def test_two_files_for_one_table_are_refused(tmp_path, trial):
 
 
 def test_extra_files_columns_and_unequal_joints_become_notes(tmp_path, trial):
-    trial.tables["pose"]["temperature"] = np.full(200, 20.0)
+    trial.tables["pose"] |= {"temperature": np.full(200, 20.0), "salt": np.full(200, 1.0)}
     del trial.tables["cmd"]["c3"]
     folder = log.write_trial(tmp_path / "a", trial)
     (folder / "video.csv").write_text("anything")
@@ -168,7 +168,7 @@ def test_extra_files_columns_and_unequal_joints_become_notes(tmp_path, trial):
         (folder / name).write_text("anything")
     edit(folder, "meta.toml", "origin =", "joints = 4\norigin =")
     notes = "\n".join(log.read_trial(folder).notes)
-    assert "'temperature' is not in the schema; kept" in notes
+    assert "pose: 'temperature', 'salt' are not in the schema; kept" in notes
     assert "video.csv: no table of the schema" in notes and "cmd 2, joint 3" in notes and ", meta 4" in notes
     assert "Gait.CSV: not read; expected gait.csv or gait.npz" in notes and "power.csv.gz: not read; expected power.csv" in notes
 

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from fishmj import control
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.store import read_tensors, write_tensors
 from fishmj.control.policy import FOLDER, SCHEMA, Policy, shipped
@@ -142,6 +143,13 @@ def test_an_unknown_name_lists_the_shipped_ones():
     near = shipped()[0][:-1] if shipped() else "papr"
     with pytest.raises(UnknownName, match=f"unknown policy '{near}'"):
         Policy.load(near)
+
+
+@pytest.mark.parametrize("source", ["runs/nope", "nope.safetensors"])
+def test_a_path_without_a_policy_is_no_unknown_name(source):
+    for load in (Policy.load, control.chosen):
+        with pytest.raises(StoreError, match=f"policy {source}: no such file or folder; expected a policy file, the folder of"):
+            load(source)
 
 
 @pytest.mark.parametrize("name", shipped())

@@ -134,7 +134,7 @@ def make(
     robot, name = _swimming(robot), str(name)
     file, name = _split(name)
     entry = CONTROLLERS.get(name)
-    if entry is None and not is_policy(name):
+    if entry is None and not is_policy(name) and Path(name).name == name:  # of a path `file_of` says what is missing
         raise UnknownName("controller", name, (*NAMES, *shipped_policies()))
     if file is not None and not (entry and entry.tuned):
         raise ConfigError(f"{file}: {name} has no gains; expected one of {', '.join(tuned_names())}")

@@ -56,7 +56,7 @@ def is_policy(text: "str | Path") -> bool:
 def file_of(source: "str | Path") -> Path:
     """File of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
 
-    Raises UnknownName: no such file or name; StoreError: not a plain file, or a folder without a policy.
+    Raises UnknownName: no such name; StoreError: no such file, not a plain one, or a folder without a policy.
     """
     if (now := FORMER.get(str(source))) is not None:
         console.warn_once(f"policy {source} is now called {now}; the old name goes with the release after this one")
@@ -75,6 +75,9 @@ def file_of(source: "str | Path") -> Path:
     if path.is_file():
         return path
     if not named.is_file():
+        if path.name != str(source) or path.suffix:
+            expected = f"expected a policy file, the folder of a training, or one of {', '.join(shipped())}"
+            raise StoreError(f"policy {source}: no such file or folder; {expected}")
         raise UnknownName("policy", str(source), shipped())
     return named
 

@@ -175,7 +175,8 @@ def check_table(name: str, table: Table, place: Place, bounds: Plausible | None 
         if name == "power" and column in _SUPPLY:
             _check_supply(column, np.asarray(values, float), place, bounds)
     notes = told + [note for c in table if spec.kind(c) == "position" for note in _strays(name, c, table, place, bounds)]
-    notes += [f"{name}: column {quoted(column)} is not in the schema; kept" for column in extra]
+    if extra:
+        notes.append(f"{name}: {', '.join(map(quoted, extra))} {'are' if extra[1:] else 'is'} not in the schema; kept")
     pauses = gaps(table["t"])
     if spec.continuous and len(pauses):
         t = np.asarray(table["t"], float)

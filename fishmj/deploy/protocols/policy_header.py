@@ -32,7 +32,7 @@ def header(policy: Policy, digest: str, name: str = "") -> str:
     widths = [policy.weights[0][0].shape[1], *(w.shape[0] for w, _ in policy.weights)]
     if max(widths) > MOST_WIDTH:
         raise ConfigError(f"policy with a layer of {max(widths)}; expected at most {MOST_WIDTH} for the firmware")
-    layers = range(len(policy.weights))
+    layers, told = range(len(policy.weights)), lambda key: _label(str(policy.meta.get(key, "unknown")))
     window = (policy.memory - 1) * (policy.n_act + policy.n_obs)
     arrays = [_floats("fj_policy_scale", np.asarray(policy.meta["scale"], np.float32))]
     for i, (w, b) in enumerate(policy.weights):
@@ -40,6 +40,7 @@ def header(policy: Policy, digest: str, name: str = "") -> str:
     return "\n".join(
         [
             f"/* Policy {_label(name)}, sha256 {digest}. Include it in one file only. */",
+            f"/* For robot {told('robot')}; decides every {told('control_dt')} s, on command path {told('command_path')}. */",
             "#ifndef FJ_POLICY_CONSTANTS_H",
             "#define FJ_POLICY_CONSTANTS_H",
             "",
