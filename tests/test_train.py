@@ -175,8 +175,11 @@ def test_a_resumed_run_reads_its_own_settings(tmp_path, capsys):
         assert run("--resume", *line.split()) == console.BAD_INPUT
         assert said in capsys.readouterr().err
     assert run("--resume", "--envs", "64", "--steps", str(2 * n)) == 0  # said again and the same
-    made = json.loads(capsys.readouterr().out.splitlines()[-1])["runs"][0]
+    said = capsys.readouterr()
+    made = json.loads(said.out.splitlines()[-1])["runs"][0]
     assert (made["seed"], made["steps"]) == (3, 2 * n)
+    assert f"judge it with: fishmj evaluate {out}\n" in said.out, said.out
+    assert f"fewer than half of the fish arrive; to train longer: fishmj train --resume --out {out} --steps N" in said.err
     assert Policy.load(made["policy"]).memory == 2
 
 

@@ -20,7 +20,7 @@ from fishmj.control.learned import body_of
 from fishmj.control.policy import Policy
 from fishmj.control.policy_meta import fit
 from fishmj.tasks.env import Options, StationHold
-from fishmj.train.__main__ import options, settings_from
+from fishmj.train.__main__ import judging, options, settings_from
 from fishmj.train.begin import SIGMA, begin_with
 from fishmj.train.build import config_of, environment, policy_of, robot_for, settled
 from fishmj.train.hyperparameters import PPOConfig, SACConfig, declared
@@ -266,3 +266,9 @@ def test_metrics_of_learners_have_episodes_and_older_checkpoints_go_on(algo):
     older = {name: a for name, a in arrays_of(state).items() if not name.startswith(".tally")}
     again = tree_of(older, learner.init(jax.random.key(2)))
     assert not np.asarray(again.tally.whole).any()
+
+
+def test_the_command_that_judges_says_what_differs_from_the_robots_own_timing():
+    assert judging(preset("quick"), "runs/a b") == "fishmj evaluate 'runs/a b'"
+    own = change(preset("quick"), robot="tendon_fish", command_path="hold", control_dt=0.4)
+    assert judging(own, "runs/a") == "fishmj evaluate runs/a --robot tendon_fish --control-dt 0.4 --command-path hold"

@@ -19,6 +19,7 @@ from fishmj.train.planned_runs import (
 )
 from fishmj.water import choice
 
+HALF = 0.5  # of the fish; a policy with which fewer arrive does not hold yet
 LOOKS = 10  # assessments in an algorithm's own budget of steps
 SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
 EXAMPLES = """examples:
@@ -417,6 +418,19 @@ def planned(args, point: str) -> list[PlannedRun]:
     return [PlannedRun(change(settings, seed=seed), folder, begin, point) for seed, folder in folders.items()]
 
 
+def judging(settings, folder: str) -> str:
+    """Command that judges a training's policy with the robot, the control step and the command path of its `Settings`."""
+    from fishmj.mjcf.reading import load_robot
+
+    own = load_robot(settings.robot).timing
+    words = ["fishmj", "evaluate", folder, *(["--robot", settings.robot] if settings.robot != "fish" else [])]
+    if settings.control_dt not in (0.0, own.control_dt):
+        words += ["--control-dt", f"{settings.control_dt:g}"]
+    if settings.command_path not in ("", own.command_path):
+        words += ["--command-path", settings.command_path]
+    return shlex.join(words)
+
+
 def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -> int:
     """Prints the outcomes, and of a sweep its table, which also goes into sweep.json; returns the exit code."""
     from fishmj.base.store import write_json
@@ -430,10 +444,15 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         if "tune_arrival" in r:
             held = f"RMSE of the last 10 s {r['tune_rmse_last10']:.3f} m"
             judged = f"tuning flows: arrival {r['tune_arrival']:.1%}, {held}"
+        done = f"{'stopped after ' if r['stopped'] else ''}{r['steps']:,} control steps"
         console.say(
-            f"{r['algorithm']} {run.name}: {r['steps']:,} control steps in {took} on {r['engine']}; {judged}",
+            f"{r['algorithm']} {run.name}: {done} in {took} on {r['engine']}; {judged}",
             f"policy: {r['policy']}",
+            f"judge it with: {judging(run.settings, r['folder'])}",
         )
+        if r.get("tune_arrival", 1.0) < HALF and not r["stopped"]:
+            more = shlex.join(["fishmj", "train", "--resume", "--out", r["folder"]])
+            console.warn(f"{run.name}: fewer than half of the fish arrive; to train longer: {more} --steps N")
     result: dict = {"runs": results}
     if args.sweep:
         table = sweep_table(runs, results)
