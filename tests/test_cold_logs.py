@@ -178,9 +178,9 @@ def test_a_gait_that_gets_smaller_is_no_change_of_unit(factor, tmp_path, monkeyp
 
 
 def test_an_import_shows_twenty_notes_and_counts_the_rest(tmp_path, monkeypatch, capsys):
-    """25 swims of a robot that was off."""
+    """25 swims of a robot that was off, each of another length."""
     for k in range(25):
-        lines(tmp_path / "lab" / f"swim{k}.csv", "t,c1,c2,c3", [T, *[np.full(len(T), 0.1)] * 3])
+        lines(tmp_path / "lab" / f"swim{k}.csv", "t,c1,c2,c3", [T[k:], *[np.full(len(T) - k, 0.1)] * 3])
     monkeypatch.chdir(tmp_path)
     assert console.run(cli.dispatch, [*LAB, "--trial-each"]) == 0
     said = capsys.readouterr().out

@@ -14,7 +14,7 @@ from fishmj.base import calib, console, names
 from fishmj.base.errors import FishmjError, LogError, UnknownName, UsageError
 from fishmj.base.store import Manifest, write_text
 from fishmj.base.store.manifest import MANIFEST
-from fishmj.log import importers, measurements, physical_checks
+from fishmj.log import importers, measurements, physical_checks, tracked_point
 from fishmj.log.dataset import write_dataset
 from fishmj.log.importers import gather, guess, guessed, other_files, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
@@ -22,7 +22,7 @@ from fishmj.log.importers.convert import convert, go_on, in_order
 from fishmj.log.importers.set_option import overrides
 from fishmj.log.limits import bare
 from fishmj.log.timebase import offsets
-from fishmj.log.trial import Trial
+from fishmj.log.trial import SCHEMA, Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
 from fishmj.log.trial_folder import checked_meta
 
@@ -60,6 +60,7 @@ class ImportResult:
     guesses: guessed.Guesses = field(default_factory=list)
     maps: list[ColumnMap] = field(default_factory=list)
     page: dict = field(default_factory=dict)
+    unsaid: set[str] = field(default_factory=set)  # keys of the meta data that some camera lacks
 
 
 def options() -> console.Parser:
@@ -86,6 +87,11 @@ def options() -> console.Parser:
     add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
     current = "the water's speed and where it moves to in the camera's frame, m/s and rad; 0,0 is still water; default: not said"
     add("--flow", type=console.flow(5), metavar="SPEED,DIRECTION", help=current)
+    point = "the point of the body that the camera tracks, m ahead and to the left of the reference point; default: that point"
+    near = console.numbers(tracked_point.FORM, *[(-tracked_point.FARTHEST, tracked_point.FARTHEST)] * 2)
+    add("--marker", type=near, metavar="AHEAD,LEFT", help=point)
+    late = "age of a pose at its stamp, s, in place of the described camera_latency; default: not said"
+    add("--camera-latency", type=console.number(0, 1), metavar="S", help=late)
     add("--medium", choices=("water", "air"), help="default: not said")
     add("--origin", choices=("measured", "synthetic"), help="default: measured")
     add("--licence", help="of the data, such as CC-BY-4.0; default: not said")
@@ -147,14 +153,15 @@ def _run(args: Namespace, described: Described) -> int:
     for where, message in found.skipped.items():
         console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
     left = f", {len(found.skipped)} left out" if found.skipped else ""
+    assumed = tracked_point.assumed(found.unsaid) if found.format != SCHEMA else []
     console.say(
-        *(console.table(rows), "", *map(_line, found.notes), *_told(notes)),
+        *(console.table(rows), "", *map(_line, found.notes), *_told(notes), *assumed),
         f"{len(rows)} trials ({found.format}) written to {args.out}{left}",
     )
     if args.json:
         console.emit_json(
             {
-                **{"format": found.format, "out": str(args.out), "meta": told, "trials": rows},
+                **{"format": found.format, "out": str(args.out), "meta": told, "trials": rows, "assumed": assumed},
                 **{"notes": notes, "skipped": found.skipped, "guess": guessed.rows(found.guesses)},
             }
         )
@@ -169,6 +176,8 @@ def _meta(args: Namespace, described: Described) -> dict:
         meta |= robot_of(args.robot, described)
     if args.flow is not None:
         meta["flow"] = dict(zip(("speed", "direction", "known"), (*args.flow, True), strict=True))
+    if args.camera_latency is not None:
+        meta["latency"] = {"pose": args.camera_latency}
     if args.plausible:
         meta[PLAUSIBLE] = args.plausible
     return meta
@@ -230,7 +239,7 @@ def _found(args: Namespace) -> ImportResult:
     elif foreign:
         _guessed(foreign, cache, args, found)
     if found.trials and not foreign and not mapped:
-        found.format = "fishmj.log/1"
+        found.format = SCHEMA
     found.skipped |= cache.skipped
     if not found.trials and not any(guessed.unclear(gs) for _, gs in found.guesses):
         _nothing(args, found)
@@ -313,7 +322,9 @@ def _convert(item: gather.Item, cache: gather.FileCache, wanted: ColumnMap) -> T
     shift = {table: f", {entry.offset:+g} s" if entry.offset else "" for table, entry in wanted.tables.items()}
     clock = {table: f"{entry.t.column} of the file{shift[table]}" for table, entry in wanted.tables.items()}
     meta = {"source": ", ".join(file.name for file in item.files)[:200], "clock": clock, **wanted.meta}
-    made = convert(item.name, sheets, wanted, meta)
+    marker = tracked_point.stated(meta)
+    made = convert(item.name, sheets, wanted, {key: value for key, value in meta.items() if key != tracked_point.KEY})
+    made = made if marker is None else tracked_point.referred(made, marker)
     return replace(made, notes=(*made.notes, *offsets(made)))
 
 
@@ -339,10 +350,14 @@ def _changed(sources: Sequence[Path]) -> list[str]:
 
 
 def _told(notes: dict[str, list[str]]) -> list[str]:
-    """Remarks on the trials, one a line, and the number of further ones."""
-    lines = [f"{name}: note: {note}" for name, told in notes.items() for note in told if "meta.toml: missing" not in note]
-    more = [f"and {len(lines) - NOTES} more notes, in meta.toml of each trial"] if len(lines) > NOTES else []
-    return [*map(_line, lines[:NOTES]), *more]
+    """Remarks on the trials, one a line with the number of trials that have it, and the number of further ones."""
+    alike: dict[str, list[tuple[str, str]]] = {}  # notes that differ in the trial's name only are one
+    for name, note in ((name, note) for name, told in notes.items() for note in told if "meta.toml: missing" not in note):
+        alike.setdefault(note.replace(name, "*"), []).append((name, note))
+    more = {key: f" (and {len(same) - 1} more trials)" if len(same) > 1 else "" for key, same in alike.items()}
+    lines = [f"{same[0][0]}: note: {same[0][1]}{more[key]}" for key, same in alike.items()]
+    rest = [f"and {len(lines) - NOTES} more notes, in meta.toml of each trial"] if len(lines) > NOTES else []
+    return [*map(_line, lines[:NOTES]), *rest]
 
 
 def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
@@ -400,7 +415,9 @@ def _write(
             for i, (name, load) in enumerate(found.trials):
                 try:
                     said_of = {"excitation": what} if (what := each.get(name, each.get(""))) else {}
-                    trial = with_notes(_physical(_with_meta(load(), {**meta, **said_of}, name)))
+                    read = load()
+                    read = read if args.marker is None else tracked_point.referred(replace(read, name=name), args.marker)
+                    trial = with_notes(_physical(_with_meta(read, {**meta, **said_of}, name)))
                     checked_meta(args.out / name, trial.meta)
                     rows.append(_row(name, trial))
                 except FishmjError as error:
@@ -409,6 +426,7 @@ def _write(
                         _refuse_bad(args, found)
                     continue
                 notes[name] = list(trial.notes)
+                found.unsaid |= tracked_point.unsaid(trial)
                 for key, values in stated.items():
                     values |= {str(value)} if (value := trial.value(key)) else set()
                 yield name, trial
@@ -430,8 +448,9 @@ def _write(
 def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     """Trial with the command line's meta data, which take precedence over those of the file."""
     stated = dict(meta)
-    if (bounds := stated.get(PLAUSIBLE)) and isinstance(trial.meta.get(PLAUSIBLE), dict):
-        stated[PLAUSIBLE] = {**trial.meta[PLAUSIBLE], **bounds}
+    for key in (PLAUSIBLE, "latency"):
+        if (said := stated.get(key)) and isinstance(trial.meta.get(key), dict):
+            stated[key] = {**trial.meta[key], **said}
     own = {key: value for key, value in trial.meta.items() if "robot" not in stated or key not in HASHES}
     whole = {"origin": "measured", **own, **stated}
     notes = list(trial.notes)

@@ -45,9 +45,9 @@ class Logs(NamedTuple):
     broken: dict[str, str] = {}  # noqa: RUF012  never changed
     notes: tuple[str, ...] = ()
 
-    def records(self, dt: float, names: "list[str] | None" = None) -> list[Record]:
-        """Records of the named trials, or of all."""
-        return [record_of(self.trials[name], dt)._replace(name=name) for name in (names or self.trials)]
+    def records(self, dt: float, names: "list[str] | None" = None, camera: float | None = None) -> list[Record]:
+        """Records of the named trials, or of all. camera: as of `record_of`; None leaves the stamps, to calibrate latencies."""
+        return [record_of(self.trials[name], dt, camera)._replace(name=name) for name in (names or self.trials)]
 
     def of(self, medium: str, signals) -> list[str]:
         """Names of the trials of some signals in one medium, repeats together."""

@@ -15,7 +15,7 @@ from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, s
 from fishmj.gap.calibrate.calibration_logs import Logs, read, smoothing
 from fishmj.gap.calibrate.parameter_fit import ParameterEstimate, widened
 from fishmj.gap.calibrate.water_plant import WaterPlant
-from fishmj.gap.commands.admission import of_this_robot, still_water, unphysical
+from fishmj.gap.commands.admission import of_this_robot, surroundings, unphysical
 from fishmj.gap.models.swimming_fish import ServoStand
 from fishmj.gap.progress import terminal_bar
 from fishmj.gap.records.records import record_of
@@ -70,7 +70,7 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     trials = {name: trial for name, trial in logs.trials.items() if name not in broken}
     if not trials:
         raise LogError(f"{args.data}: no trial can be compared; {next(iter(broken.values()))}")
-    whose = (*of_this_robot(trials.values(), robot, args.model, args.same_robot), *still_water(trials.values()))
+    whose = (*of_this_robot(trials.values(), robot, args.model, args.same_robot), *surroundings(trials.values(), robot))
     breaches, doubts = unphysical(trials.values(), only)
     for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose, *doubts):
         console.warn(note)

@@ -125,7 +125,7 @@ def calibrate_trials(trials: Iterable[Trial], robot: "Robot | str" = "fish") -> 
 
 def calibrate(logs: Logs, plant: WaterPlant, *, bars: Bars = silent_bar) -> WaterFit:
     """Fits the water to the free swims of `logs`. Raises LogError: too few swims or kinds of swim."""
-    records = logs.records(plant.dt, swims(logs))
+    records = logs.records(plant.dt, swims(logs), plant.camera)
     folds, starts = folded(records), plant.starts()
     with bars(len(starts) + len(folds), "water", "fits") as bar:
         ends = []

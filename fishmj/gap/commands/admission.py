@@ -16,7 +16,7 @@ often that is wrong.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,7 @@ from fishmj.base.names import strips_of
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.gap.null.null_runs import RecordedNull, SimulatedNull, trials_of
 from fishmj.gap.records import datasets, mass_properties
-from fishmj.gap.records.records import Record, record_of
+from fishmj.gap.records.records import Record, age_of_poses, record_of
 from fishmj.gap.search.likelihood import Likelihood
 from fishmj.gap.wording import title
 from fishmj.log import Trial, measurements, physical_checks
@@ -42,6 +42,7 @@ from fishmj.mjcf.identity import another_body
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import label, residuals_of
 
+SAME_AGE = 1e-3  # s, of a pose at its stamp
 SHIPPED = "fish"  # what the null sets swam as, which say a name only
 
 
@@ -75,7 +76,7 @@ def admitted(
     given = datasets.readable_trials(data, robot.timing.physics_dt)
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
     broken = (f"{name} left out: {why}" for name, why in given.broken.items())
-    notes = (*given.notes, *broken, *whose, *still_water(given.trials.values()))
+    notes = (*given.notes, *broken, *whose, *surroundings(given.trials.values(), robot))
     breaches, doubts = unphysical(given.trials.values())
     notes = (*notes, *(breaches if anyway else ()), *doubts)
     for note in notes:
@@ -140,6 +141,17 @@ def still_water(trials: Iterable[Trial]) -> list[str]:
     unsaid = sum(speed is None or not speed and known is False for speed, known in speeds)
     told = f"{unsaid} of {len(swims)} swims do not state their current, flow in meta.toml or log import --flow"
     return [f"{told}; taken for still water"] * bool(unsaid)
+
+
+def surroundings(trials: Collection[Trial], robot: Robot) -> list[str]:
+    """Notes on swims whose current is not stated, and on those that state another age of their poses than the description."""
+    mine = robot.timing.camera_latency
+    stated = [age for trial in trials if "pose" in trial.tables and (age := age_of_poses(trial)) is not None]
+    others = [age for age in stated if abs(age - mine) > SAME_AGE]
+    if not others:
+        return still_water(trials)
+    told = f"{len(others)} trials state how old a pose is at its stamp, latency.pose {min(others):.3g} to {max(others):.3g} s"
+    return [*still_water(trials), f"{told}; taken in place of camera_latency = {mine:.3g} s of {robot.name!r}"]
 
 
 def joints_of(trial: Trial) -> int:

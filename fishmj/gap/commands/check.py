@@ -18,7 +18,6 @@ from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, null_of
 from fishmj.gap.records.datasets import digest, trials_in, trials_named
-from fishmj.gap.records.records import record_of
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.gap.wording import level
 from fishmj.log import Trial
@@ -109,7 +108,7 @@ def gaps(
         raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
     model = SwimmingFish(as_described(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
-    evidence = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], null)
+    evidence = likelihood_of(model, model.records(trials), null)
     return measured(evidence, [model.row(robot) for robot in versions])
 
 

@@ -103,7 +103,7 @@ class SwimmingFish(ParameterRow):
 
     def records(self, trials: Sequence[Trial]) -> list[Record]:
         """The trials, ready to be predicted. Raises LogError."""
-        return [record_of(trial, self.dt) for trial in trials]
+        return [record_of(trial, self.dt, self.camera) for trial in trials]
 
     def row(self, robot: Robot) -> np.ndarray:
         """(P,) row of another description's effects on this fish; effects outside this model's catalogue are left out."""

@@ -27,6 +27,7 @@ NOISE = 6.0  # standard deviations of an encoder, which are no movement
 SWIMS = 0.15  # m/s at the first row; a model begins at rest, or with the push that the log states
 LATE = 0.5  # s after the joints begin to move by which they and the fish must be seen: the model starts from there
 LOST, JUMP = 0.25, 3.0  # s of a pause in steady commands, and times their usual step that they have moved by its end
+OLDEST = 1.0  # s, of a pose at its stamp
 LONGEST = 3600.0  # s of a record; beyond it, two clocks that do not share a zero
 MOVING = 0.09  # s after it begins to move: what the camera's own delay still shows of the start
 
@@ -68,8 +69,10 @@ class Record(NamedTuple):
         return max(float(s.t[-1]) for s in (self.joint, self.pose, self.power) if s is not None)
 
 
-def record_of(trial: Trial, dt: float) -> Record:
+def record_of(trial: Trial, dt: float, camera: float | None = None) -> Record:
     """Reads one trial.
+
+    camera: age [s] at its stamp that the model expects of a pose; one whose log states its age (`latency.pose`) is stamped so.
 
     Raises LogError: no commands or rows of them lost, nothing measured or too late, joints that differ in number, clocks of
     another zero, a fish that swims at the first row, or meta data that are no numbers.
@@ -79,7 +82,9 @@ def record_of(trial: Trial, dt: float) -> Record:
     cmd = trial.table("cmd")
     begin, c = float(cmd["t"][0]), stacked(cmd, "c#")
     joint = _sensor(trial, "joint", begin, lambda t: stacked(t, "j#"), [f"j{i + 1}" for i in range(c.shape[1])])
-    pose = _sensor(trial, "pose", begin, _pose, ["x", "y", "yaw"])
+    age = age_of_poses(trial)
+    later = 0.0 if camera is None or age is None else camera - age
+    pose = _sensor(trial, "pose", begin - later, _pose, ["x", "y", "yaw"])
     power = _sensor(trial, "power", begin, _power, ["power"]) if "I" in trial.tables.get("power", {}) else None
     if joint is None and pose is None:
         raise LogError(f"trial {trial.name}: neither joint nor pose was measured; nothing can be compared")
@@ -123,6 +128,15 @@ def record_of(trial: Trial, dt: float) -> Record:
         stated=_stated(trial),
         placed=None if place is None or pose is None or push.any() else _placed(begins, place, pose.sigma),
     )
+
+
+def age_of_poses(trial: Trial) -> float | None:
+    """Age [s] that a log states of a pose at its stamp; None if it states none. Raises LogError: it is none of a camera."""
+    if trial.value("latency.pose") is None:
+        return None
+    if not 0 <= (age := _finite(trial, "latency.pose")) <= OLDEST:
+        raise LogError(f"trial {trial.name}: latency.pose = {age:g}; expected the age of a pose at its stamp, 0 to {OLDEST:g} s")
+    return age
 
 
 def _mean_commands(t: np.ndarray, c: np.ndarray, steps: int, dt: float) -> np.ndarray:

@@ -19,7 +19,6 @@ from fishmj.base.errors import LogError
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.structural_error import applies
 from fishmj.gap.progress import Bars, silent_bar
-from fishmj.gap.records.records import record_of
 from fishmj.gap.search.likelihood import Likelihood, likelihood_of
 from fishmj.log import Trial
 
@@ -42,5 +41,5 @@ def read_healthy_swims(model, trials: Sequence[Trial], null: SimulatedNull, bars
     if not trials:
         raise LogError("gap find: got no healthy swim; expected the logs that the water was calibrated to")
     # A repeated experiment has other noise: only the fish is common to both.
-    e = likelihood_of(model, [record_of(trial, model.dt) for trial in trials], replace(null, session=1), bars)
+    e = likelihood_of(model, model.records(trials), replace(null, session=1), bars)
     return HealthySwims(e.gap(model.null)[0], e.with_own_widths())
