@@ -1,5 +1,6 @@
 """`fishmj log import`: files of two meanings are asked or refused, never read as one of them in silence."""
 
+import shlex
 import shutil
 
 import lab_files
@@ -395,7 +396,7 @@ def test_letters_of_two_servos_are_no_units(tmp_path, bring, names):
         tmp_path / "a.csv", {"time": T, **dict(zip(names, (20 * q for q in SWING), strict=False)), "vbat": 11.1 + 0 * T}
     )
     code, _, err = bring(tmp_path / "a.csv", "--yes")
-    assert code == 2 and all(f"--set {name}=cmd.c1:deg or cmd.c2:deg" in err for name in names)
+    assert code == 2 and all(f"--set {shlex.quote(name)}=cmd.c1:deg or cmd.c2:deg" in err for name in names)
 
 
 def test_a_clock_that_is_set_back_is_no_few_stray_rows(tmp_path, bring):

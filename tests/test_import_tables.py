@@ -314,6 +314,7 @@ def test_a_camera_file_with_a_german_time_column_is_read(tmp_path, bring):
     [
         ({"kamera_uhr": 20.0 * N, "x_m": WAVE, "y_m": WAVE}, "camera.csv: kamera_uhr: no column of time"),
         ({"frame": 1.0 * N, "x_m": WAVE, "y_m": WAVE}, "--set frame=t:s*SECONDS"),
+        ({"frame": N + 3.0 * (N > 40) + (N > 60), "x_m": WAVE, "y_m": WAVE}, "--set frame=t:s*SECONDS"),  # frames were dropped
         ({"x_m": WAVE, "y_m": WAVE}, "camera.csv: x_m: its file has no column of time"),
         ({"time_ms": 20.0 * N, "yaw_deg": 10 * WAVE}, "camera.csv: yaw_deg: table pose also needs x, y"),
         ({"time_ms": 10.0 * N, "servo2_deg": 20 * WAVE}, "camera.csv: servo2_deg: "),
@@ -324,6 +325,16 @@ def test_what_would_be_lost_is_asked_with_file_and_column(tmp_path, bring, camer
     lab_files.write(tmp_path / "lab" / "camera.csv", camera)
     code, _, err = bring(tmp_path / "lab", "--yes")
     assert code == 2 and asked in err and not (tmp_path / "set").exists()
+
+
+def test_a_column_without_a_unit_in_a_row_of_units_keeps_its_name_which_is_quoted_where_it_has_blanks(tmp_path, bring):
+    names = ["Zeit", "servo1", "Servo 2", "servo3", "pos1", "pos2", "pos3", "U"]
+    units = ["s", "-", "-", "-", "counts", "counts", "counts", "V"]
+    counts = [f"{2048 + 200 * v:.0f}" for v in WAVE]
+    rows = [[f"{0.02 * k:.2f}", *[counts[k]] * 6, "7.4"] for k in range(len(N))]
+    (tmp_path / "a.csv").write_text("\n".join(";".join(row) for row in (names, units, *rows)))
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and "--set servo1=cmd.c1:deg" in err and "--set 'Servo 2'=cmd.c2:deg" in err, err
 
 
 def test_a_map_with_one_missing_column_is_refused_with_its_file(tmp_path, bring):

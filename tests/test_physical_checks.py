@@ -193,6 +193,20 @@ def test_rows_in_which_the_fish_was_lost_are_left_out(columns, rows):
     assert "the fish was lost" in notes[0] and names(mended) == {}
 
 
+@pytest.mark.parametrize("rows", [slice(200, 203), slice(200, 212), slice(200, 290)])
+def test_a_heading_that_a_tracker_filled_in_is_left_out(rows):
+    """Near the fish's own heading, too, and while its x and y go on; a heading in whole degrees stands as long."""
+    trial = turning()
+    yaw = np.array(trial.tables["pose"]["yaw"])
+    yaw[rows] = yaw[rows].mean() - 0.6
+    mended, notes = physical_checks.without_failed_reads(changed(trial, "pose", yaw=lambda v: yaw))
+    kept = np.delete(np.arange(len(yaw)), rows)
+    assert np.array_equal(mended.tables["pose"]["yaw"], trial.tables["pose"]["yaw"][kept])
+    assert f"the fish was lost in yaw {len(yaw) - len(kept)} times" in notes[0]
+    coarse = changed(trial, "pose", yaw=lambda v: np.radians(np.round(np.degrees(v))))
+    assert physical_checks.without_failed_reads(coarse) == (coarse, [])
+
+
 def test_held_camera_values_are_read_once_with_a_note(tmp_path):
     trial = shipped("water_square_1")
     held = changed(

@@ -1,6 +1,7 @@
 """Limits on foreign files: their kind, their unpacked size, and the length of their text in messages."""
 
 import os
+import shlex
 import struct
 from collections.abc import Iterable
 from pathlib import Path
@@ -74,3 +75,8 @@ def quoted(text: object, most: int = 40) -> str:
 def bare(text: object, most: int = 40) -> str:
     """`text` for a message without quotes: control characters out, shortened."""
     return quoted(text, most)[1:-1]
+
+
+def typed(text: object) -> str:
+    """`text` as it is typed on a command line: in quotes where it has blanks or other marks of the shell."""
+    return shlex.quote(bare(text))

@@ -16,6 +16,7 @@ REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated r
 LONG = 5  # usual runs, which are a rest
 SINGLE, TOGETHER = 0.6, 0.75  # of irregular frames: largest share of runs of one row; of rows that change, to those by chance
 HALF, FOLD, LEVEL = np.pi + 1e-3, 2.4, 0.05  # rad: of a folded heading the most span, the least jump, and the least usual step
+HELD, FILLED = 3, 0.1  # rows at least, and rad of the least jump to and from them, of a heading that a tracker filled in
 LEAP = {"x": 0.05, "y": 0.05, "yaw": 0.5}  # m, m, rad: least jump of a lost pose
 
 
@@ -30,7 +31,7 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
     """(T,) bool rows of `pose` without the fish in view, and one note if there are some; none of a damaged table.
 
     x, y or yaw leaves its path and comes back within `LOST`, each time faster than a fish; one pose that a tracker repeats may
-    last longer, and begin or end the table.
+    last longer, and begin or end the table. So may one heading, such as 0, that is repeated while x and y go on.
     """
     none = np.zeros(len(np.atleast_1d(next(iter(table.values()), ()))), bool)
     if not is_sound(table, ["t", "x", "y", "yaw"]) or len(none) < 12 or len(folds(table)):
@@ -56,11 +57,23 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
                 rows[i + 1 : j + 1] = apart < 0.3 * min(size[i], size[j])
             if still[i + 1] == still[j] and j - i >= 2:
                 rows[i + 1 : j + 1] = True
+        rows |= _filled_in(steps, max(FILLED, 10 * usual)) if name == "yaw" else False
         if rows.any() and rows.mean() < 0.5:
             first = int(np.argmax(rows))
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
             bad |= rows
     return bad, [f"pose: {int(bad.sum())} of {len(t)} rows left out, the fish was lost in {'; '.join(seen)}"] if seen else []
+
+
+def _filled_in(steps: np.ndarray, least: float) -> np.ndarray:
+    """(T,) bool rows in which the heading stands at one value while x or y moves, between a jump to it and a jump back."""
+    turned = np.flatnonzero(steps[2] != 0)
+    rows = np.zeros(steps.shape[1] + 1, bool)
+    for i, j in pairwise(turned):  # the heading is one number in rows i + 1 to j
+        there, back = steps[2, i], steps[2, j]
+        if j - i >= HELD and min(abs(there), abs(back)) > least and there * back < 0 and steps[:2, i + 1 : j].any():
+            rows[i + 1 : j + 1] = True
+    return rows
 
 
 def folds(pose: Table) -> np.ndarray:

@@ -17,7 +17,7 @@ from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, fitting
 from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
-from fishmj.log.limits import bare, quoted
+from fishmj.log.limits import bare, quoted, typed
 from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible, Place, bounds_of
 from fishmj.log.unread_rows import fresh_rows
@@ -89,7 +89,7 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
         return f"{text}. Mend its scale, zero or unit in the map{allow}"
     line = f"{place if place == 't' else f'columns.{doubt.column}'} = {toml.inline({'column': source.column, 'unit': fits[0]})}"
     units = " or ".join(f'"{unit}"' for unit in fits)
-    return f"{text}. Say unit = {units}: {line} in the map, or --set {name[1:-1]}={place}:{fits[0]}{allow}"
+    return f"{text}. Say unit = {units}: {line} in the map, or --set {typed(source.column)}={place}:{fits[0]}{allow}"
 
 
 def _sources(entry: TableMap) -> list[str]:
@@ -177,7 +177,7 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
                 what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
                 raise LogError(
                     f"{sheet.place(0, source.column)}: column {quoted(source.column)} holds no number{what}; "
-                    f"leave it out of the map, or --set {bare(source.column)}=skip"
+                    f"leave it out of the map, or --set {typed(source.column)}=skip"
                 )
     _refuse_stretched(table, sheet, entry)
     keep = ~np.isnan(np.stack(list(out.values()))).any(axis=0)

@@ -479,7 +479,7 @@ def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]
             values = kind.sheets[0].columns[g.column]
             step = np.diff(values[np.isfinite(values)])
             if len(step) and (step >= 0).all() and 2 * (step > 0).sum() > len(step):
-                rows = bool((step == 1).all())
+                rows = bool((step % 1 == 0).all() and np.median(step) == 1)  # with frames that were dropped
                 why = "it counts the rows, say the seconds of one" if rows else "it rises"
                 out[i] = g.unclear(
                     f"no column of time among the names; is it this one? {why}", places=("t",), fits=("s*SECONDS",) * rows

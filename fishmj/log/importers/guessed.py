@@ -12,7 +12,7 @@ from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Gu
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.sheet import DATE
-from fishmj.log.limits import bare
+from fishmj.log.limits import bare, typed
 
 Guesses = list[tuple[Sequence[FileKind], list[Guess]]]  # one for each layout of files
 SHOWN = 3  # first values of a column
@@ -120,7 +120,7 @@ def _shown(value: float, unit: str) -> str:
 def first_unclear(found: Guesses) -> str:
     """Example of --set for the first unclear column."""
     g = next((g for _, made in found for g in unclear(made)), None)
-    return f"{bare(g.column)}={choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
+    return f"{typed(g.column)}={choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
 
 
 def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
@@ -130,7 +130,7 @@ def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     """
     doubts = [(f"{bare(kinds[g.kind].sheets[0].name)}: " * (len(kinds) > 1), g) for kinds, made in found for g in unclear(made)]
     if doubts:
-        text = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {bare(g.column)}={choices(g)}" for file, g in doubts[:4])
+        text = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {typed(g.column)}={choices(g)}" for file, g in doubts[:4])
         more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
         raise LogError(
             f"{source}: {len(doubts)} column(s) unclear: {text}{more}; or COLUMN=skip; or --write-map "

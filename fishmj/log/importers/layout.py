@@ -21,6 +21,7 @@ HEAD = 40  # lines that are looked at
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": "blanks"}
 _BLANK_CELL = re.compile(r'"([^"]*)"(?=\s|\Z)|(\S+)')
 _BRACKETS = "[](){}<>"
+UNITLESS = ("-", "--", "\N{EN DASH}", "\N{EM DASH}", "n/a", "none", "counts", "ticks")  # of a column, in a row of units
 Lines = Sequence[tuple[int, str]]  # (number in the file, text)
 
 
@@ -169,7 +170,7 @@ def _separator(path, head: Lines, comment: str) -> str:
 def _units(cells: Sequence[str]) -> list[str]:
     """Units of a row of units, "" for a cell without one; empty if it is no such row."""
     bare = [cell.strip().strip(_BRACKETS) for cell in cells]
-    filled = [cell for cell in bare if cell]
+    filled = [cell for cell in bare if cell and cell.lower() not in UNITLESS]
     units = [unit_of(cell) or other_unit(cell) for cell in bare]
     known = sum(map(bool, units))
     named = any(is_number(cell) or not TIME.isdisjoint(words(cell)) for cell in filled)  # t (s) is a name
