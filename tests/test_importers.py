@@ -3,6 +3,7 @@
 import json
 import math
 
+import lab_files
 import numpy as np
 import pytest
 import recordings
@@ -214,3 +215,19 @@ def test_check_lists_every_trial_that_breaks_the_schema(tmp_path, capsys):
     assert console.run(command.main, ["check", str(folder), "--json"]) == console.FAILED_CHECK
     out = capsys.readouterr()
     assert "surge_6" in out.err and "lacks column 'yaw'" in json.loads(out.out.strip().split("\n")[-1])["refused"]["surge_6"]
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_column_that_counts_trials_is_no_one_trial(restarts, tmp_path, capsys, monkeypatch):
+    """The fish is put back in between; of a clock that starts again, too, the column is named."""
+    units = {"x": "x_mm", "y": "y_mm", "yaw": "yaw_deg"}
+    bring, one = lab_files.importer(tmp_path, capsys, monkeypatch), {units.get(c, c): v for c, v in lab_files.swim().items()}
+    both = {name: np.concatenate([values, values + (2.6 if name == "t" and not restarts else 0)]) for name, values in one.items()}
+    file = lab_files.write(tmp_path / "in" / "both.csv", both | {"Trial no": np.repeat([3, 4], lab_files.ROWS)})
+    code, _, err = bring(file, "--yes")
+    assert code == 2 and "column 'Trial no' changes 1 times, from 3 to 4: several trials in one file; write a file" in err, err
+    assert "--set 'Trial no'=skip to read them as one" in err
+    if not restarts:
+        assert bring(file, "--yes", "--set", "Trial no=skip")[0] == 0
+    constant = lab_files.write(tmp_path / "single" / "one.csv", one | {"trial": np.full(lab_files.ROWS, 3)})
+    assert bring(constant, "--yes", out=tmp_path / "one")[0] == 0

@@ -31,6 +31,7 @@ PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or
 STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 EVEN = 10  # rows on either side of a step back that tell a clock that was set
+SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -44,6 +45,9 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     absolute: dict[str, bool] = {}
     taken: set[str] = set()
     notes = [note for sheet in sheets for note in sheet.notes]
+    used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
+    for sheet in sheets:
+        _refuse_several(sheet, [column for column in sheet.columns if column not in used])
     for table, entry in wanted.tables.items():
         sheet = _sheet(table, entry, sheets)
         taken.add(sheet.name)
@@ -61,7 +65,6 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
             missed = 2 * len(here) > len(set(_sources(entry))) > len(here) and entry.t.column in here
             if missed and (entry.file is None or _fits(sheet, entry.file)):
                 raise LogError(f'{_absent(table, entry, [sheet])}, or give it file = "pattern" of the files that it is in')
-    used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
     for sheet in sheets:
         if rest := [column for column in sheet.columns if column not in used]:
             more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
@@ -90,6 +93,18 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
     line = f"{place if place == 't' else f'columns.{doubt.column}'} = {toml.inline({'column': source.column, 'unit': fits[0]})}"
     units = " or ".join(f'"{unit}"' for unit in fits)
     return f"{text}. Say unit = {units}: {line} in the map, or --set {typed(source.column)}={place}:{fits[0]}{allow}"
+
+
+def _refuse_several(sheet: Sheet, unused: Sequence[str]) -> None:
+    """Raises LogError if a column of a file counts several trials, which would be one with jumps between them."""
+    for column in unused:
+        values = sheet.columns[column][np.isfinite(sheet.columns[column])]
+        steps = np.count_nonzero(np.diff(values))
+        if SEVERAL.intersection(header.words(column)) and 0 < steps * EVEN < len(values):
+            found = (
+                f"column {quoted(column)} changes {steps} times, from {values[0]:g} to {values[-1]:g}: several trials in one file"
+            )
+            raise LogError(f"{sheet.where}: {found}; write a file for each, or --set {typed(column)}=skip to read them as one")
 
 
 def _sources(entry: TableMap) -> list[str]:
