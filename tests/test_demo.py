@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 
+import numpy as np
 import pytest
 
 pytest.importorskip("numba", reason='the demo trains on the compiled engine: pip install "fishmj[fast]"')
@@ -55,3 +56,13 @@ def test_the_demo_names_its_page_and_opens_it_only_when_asked(tmp_path, capsys, 
     assert f"replay: {page}" in said.out.splitlines()[-1]
     assert "swift-reference: 20 of 24 trials, 0.080 m; the shipped station-family: 20 of 24" in said.out
     assert opened == ([page.as_uri()] if asked else []) and ("no browser" in said.err) == (not there)
+
+
+def test_one_fish_that_strays_is_no_judgement_of_all_and_a_lost_one_is_no_good_one(monkeypatch):
+    speed = np.repeat([0.1, demo.SPEED], 8)
+    trials = type("Trials", (), {"speed": speed, "__len__": lambda self: 16})()
+    for rmse, wanted in (([0.05] * 7 + [1.5], 0.05), ([np.nan] * 5 + [0.05] * 3, np.inf)):
+        found = {"arrival": np.ones(16), "rmse_last20": np.r_[np.full(8, 0.2), rmse]}
+        monkeypatch.setattr("fishmj.evaluate.figures", lambda result, found=found: found)
+        said = demo.verdict(type("Result", (), {"trials": trials})())
+        assert said == {"trials": 16, "arrivals": 16, "rmse_last20": wanted}
