@@ -1,4 +1,4 @@
-"""What a camera's log says of it: the point that it tracks, and how old its poses are."""
+"""A log states the tracked point of the body and the age of its poses, and both are used."""
 
 from dataclasses import replace
 

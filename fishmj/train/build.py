@@ -38,7 +38,11 @@ def robot_for(settings: Settings):
 
     Raises UnknownName, ConfigError: no such command path, or a control step that does not fit the bus.
     """
-    robot = with_effects(water_for(settings).robot, settings.task.get("effects", ()))
+    return timed(with_effects(water_for(settings).robot, settings.task.get("effects", ())), settings)
+
+
+def timed(robot, settings: Settings):
+    """The robot with the control step and the command path of the settings, where they state them. Raises as `robot_for`."""
     return with_timing(robot, settings.control_dt or None, settings.command_path or None, "train --control-dt")
 
 

@@ -30,9 +30,9 @@ from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.solver_water import water_of_fit
-from fishmj.mjcf.reading import load_robot, with_timing
+from fishmj.mjcf.reading import load_robot
 from fishmj.train.begin import begin_with
-from fishmj.train.build import settled, water_for
+from fishmj.train.build import settled, timed, water_for
 from fishmj.train.settings import Settings, as_dict, change
 from fishmj.train.training_run import TrainingRun
 from fishmj.water.choice import STRUCTURED, family_in, model_of
@@ -65,8 +65,7 @@ def train_and_correct(
 
     Raises ConfigError: the folder holds another run, or the water cannot be refitted; KeyboardInterrupt: a training was stopped.
     """
-    step, path = settings.control_dt or None, settings.command_path or None
-    robot = with_timing(load_robot(settings.robot), step, path, "train --control-dt")
+    robot = timed(load_robot(settings.robot), settings)
     model = first_water(settings, slip)
     tank = water_of_fit(model.dataset, model.slip, domain)
     about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": tank.box.name, "steps": steps}

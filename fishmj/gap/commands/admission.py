@@ -145,13 +145,13 @@ def still_water(trials: Iterable[Trial]) -> list[str]:
 
 def surroundings(trials: Collection[Trial], robot: Robot) -> list[str]:
     """Notes on swims whose current is not stated, and on those that state another age of their poses than the description."""
-    mine = robot.timing.camera_latency
+    notes, mine = still_water(trials), robot.timing.camera_latency
     stated = [age for trial in trials if "pose" in trial.tables and (age := age_of_poses(trial)) is not None]
     others = [age for age in stated if abs(age - mine) > SAME_AGE]
-    if not others:
-        return still_water(trials)
-    told = f"{len(others)} trials state how old a pose is at its stamp, latency.pose {min(others):.3g} to {max(others):.3g} s"
-    return [*still_water(trials), f"{told}; taken in place of camera_latency = {mine:.3g} s of {robot.name!r}"]
+    if others:
+        told = f"{len(others)} trials state how old a pose is at its stamp, latency.pose {min(others):.3g} to {max(others):.3g} s"
+        notes.append(f"{told}; taken in place of camera_latency = {mine:.3g} s of {robot.name!r}")
+    return notes
 
 
 def joints_of(trial: Trial) -> int:

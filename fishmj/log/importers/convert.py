@@ -32,6 +32,7 @@ STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 EVEN = 10  # rows on either side of a step back that tell a clock that was set
 SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
+ROWS = 10  # of a trial at least, on average; a column that changes more often counts something else
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -97,14 +98,13 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
 
 def _refuse_several(sheet: Sheet, unused: Sequence[str]) -> None:
     """Raises LogError if a column of a file counts several trials, which would be one with jumps between them."""
-    for column in unused:
+    for column in (one for one in unused if SEVERAL.intersection(header.words(one))):
         values = sheet.columns[column][np.isfinite(sheet.columns[column])]
         steps = np.count_nonzero(np.diff(values))
-        if SEVERAL.intersection(header.words(column)) and 0 < steps * EVEN < len(values):
-            found = (
-                f"column {quoted(column)} changes {steps} times, from {values[0]:g} to {values[-1]:g}: several trials in one file"
-            )
-            raise LogError(f"{sheet.where}: {found}; write a file for each, or --set {typed(column)}=skip to read them as one")
+        if 0 < steps * ROWS < len(values):
+            changes = f"column {quoted(column)} changes {steps} times, from {values[0]:g} to {values[-1]:g}"
+            todo = f"write a file for each, or --set {typed(column)}=skip to read them as one"
+            raise LogError(f"{sheet.where}: {changes}: several trials in one file; {todo}")
 
 
 def _sources(entry: TableMap) -> list[str]:
