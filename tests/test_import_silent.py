@@ -409,3 +409,29 @@ def test_a_clock_that_is_set_back_is_no_few_stray_rows(tmp_path, bring):
     code, _, err = bring(tmp_path / "set", "--yes", out=tmp_path / "a")
     assert code == 2 and "the clock was set back by 0.8 s. Split the file there" in err
     assert bring(tmp_path / "mixed", "--yes", out=tmp_path / "b")[0] == 0
+
+
+@pytest.mark.parametrize(("middle", "told"), [(9.5, "A or mA?"), (42.0, "A or mA?"), (0.8, "")])
+def test_a_current_that_a_robot_has_in_two_units_is_asked(tmp_path, bring, middle, told):
+    """9.5 mA is a robot at rest, 9.5 A a fast one; whole numbers may be counts."""
+    columns = {"time_s": T, **servos(unit="_rad"), "voltage": 7.4 + 0.001 * T, "current": middle * (1 + 0.1 * np.sin(3 * T))}
+    code, _, err = bring(lab_files.write(tmp_path / "a.csv", columns), "--yes")
+    assert (code, told in err) == (2 if told else 0, True), err
+    for said, size in (("A", 1.0), ("mA", 1e-3)):
+        if told:
+            assert "--set current=power.I:A or power.I:mA" in err
+            assert bring(tmp_path / "a.csv", "--yes", "--set", f"current=power.I:{said}", out=tmp_path / said)[0] == 0
+            near(only(tmp_path / said).table("power")["I"], size * columns["current"], 1e-5)
+    columns["current"] = np.round(3 + np.sin(3 * T))
+    code, _, err = bring(lab_files.write(tmp_path / "b.csv", columns), "--yes", out=tmp_path / "counts")
+    assert code == 2 and "whole numbers: A, mA, or counts (A*SCALE)?" in err
+
+
+@pytest.mark.parametrize("name", ["force_run.csv", "target.csv", "arm_rad.csv"])
+def test_a_column_that_says_what_it_is_outweighs_the_name_of_its_file(tmp_path, bring, name):
+    place = {"cam_x_mm": 100 * T, "cam_y_mm": 3 * np.sin(T), "cam_heading_deg": 9 * SWING[0]}
+    path = lab_files.write(tmp_path / name, {"time_s": T, "meas1_deg": np.degrees(SWING[1]), **place})
+    code, _, err = bring(path, "--yes")
+    assert code == 0, err
+    near(only(tmp_path / "set").table("joint")["j1"], SWING[1])
+    near(only(tmp_path / "set").table("pose")["x"], 0.1 * T)

@@ -129,3 +129,26 @@ def test_a_slow_encoder_is_read_once_and_blank_rows_are_counted(tmp_path):
     np.testing.assert_allclose(trial.tables["joint"]["t"], t[::5])
     assert "arm: cmd: 30 of 1000 rows left out, blank in one of the columns" in trial.notes
     assert any("joint: each value stands in 5 rows: 50 Hz written at 250 Hz" in note for note in trial.notes)
+
+
+@pytest.mark.parametrize(("column", "unit"), [("rad_q#", ""), ("mrad_q#", "mrad"), ("q#_deg", "deg"), ("q#", "deg")])
+def test_a_column_that_says_its_unit_outweighs_its_topic(column, unit):
+    names = [f"/arm_deg:{column}".replace("#", str(k)) for k in (1, 2)] + [f"/arm_deg:tau{k}" for k in (1, 2)]
+    found = guess_columns(["t", *names], ("s", "e"), ("s", "e"), torques=True)
+    assert [c.unit for c in found.joint.values()] == [unit] * 2
+
+
+def test_commands_and_positions_of_two_clocks_that_share_little_are_refused(tmp_path):
+    """Of arrays of two lengths; the unit of both clocks settles it. A date says by itself where they lie."""
+    sent, read = 0.02 * np.arange(5000), 0.02 * np.arange(300)
+    arrays = {f"tau{k}": np.sin(k * sent) for k in (1, 2)} | {f"q{k}": np.sin(k * read) for k in (1, 2)}
+    for name, zero in (("log", 0.0), ("dated", 1.7e9)):
+        np.savez(tmp_path / f"{name}.npz", t=zero + sent, time=zero + read, **arrays)
+    table = read_sheet(tmp_path / "log.npz")
+    columns = guess_columns([n for n in table.columns if n != "time"], ("s", "e"), ("s", "e"), torques=True)
+    with pytest.raises(LogError, match="commands from 0 to 99.98 s, positions from 0 to 5.98 s: they share 5.98 s; expected"):
+        read_robot_logs([tmp_path / "log.npz"], columns)
+    said = columns._replace(time=columns.time.model_copy(update={"unit": "s"}))
+    assert len(read_robot_logs([tmp_path / "log.npz"], said)[0]) == 1
+    dated = guess_columns([n.replace("log", "dated") for n in table.columns if n != "time"], ("s", "e"), ("s", "e"), torques=True)
+    assert len(read_robot_logs([tmp_path / "dated.npz"], dated)[0]) == 1

@@ -46,6 +46,12 @@ def offset_between(
     return offset, float(curve[best])
 
 
+def in_common(one: np.ndarray, two: np.ndarray) -> tuple[float, float]:
+    """(seconds that two tables' stamps have in common, negative where they are apart; its share of the longer)."""
+    both = float(min(one[-1], two[-1]) - max(one[0], two[0]))
+    return both, both / max(float(np.ptp(one)), float(np.ptp(two)), 1e-9)
+
+
 def rates(t: np.ndarray, values: np.ndarray, grid: np.ndarray, blur: float) -> np.ndarray:
     """Smoothed rates (G, N) on the grid, less their mean; zero inside gaps."""
     reach = int(np.ceil(4 * blur))

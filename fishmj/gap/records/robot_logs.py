@@ -32,13 +32,15 @@ from pydantic import ValidationError
 from fishmj.base.errors import FishmjError, LogError
 from fishmj.gap.records.attitude import PLACE, QUATERNION, unit_quaternions
 from fishmj.log import Trial, numbered
+from fishmj.log.clock_alignment import in_common
 from fishmj.log.importers import header
 from fishmj.log.importers.column_map import Column, Stamp, map_table
 from fishmj.log.importers.column_units import SI, UNITS, measures, time_unit, unit_of
 from fishmj.log.importers.gather import is_recording, read_sheets
-from fishmj.log.importers.sheet import Sheet
+from fishmj.log.importers.sheet import EPOCH, Sheet
 from fishmj.log.limits import bare
 from fishmj.log.trial import readings_sha256
+from fishmj.log.trial_check import bounds_of
 from fishmj.log.unread_rows import fresh_rows, is_coarse
 
 INFO = Path("meta") / "info.json"  # of a LeRobot data set
@@ -136,8 +138,10 @@ def guess_columns(
     base = _pose_columns(names) if free else {}
     names = [n for n in names if n not in base.values()]
     last = {word for site in (*joints, *actuators) for word in header.words(site)[-1:]}  # pos_a of joint a is no ampere
-    unit = {n: "" if last & set(header.words(n)[-1:]) and n[-1:].isalnum() else header.parse(n).unit for n in names}
-    unit = {n: u or (units or {}).get(n, "") or _angle(n) for n, u in unit.items()}
+    own = {n: n.rpartition(":")[2] for n in names}  # without the topic, whose words say less than the column's
+    unit = {n: "" if last & set(header.words(o)[-1:]) and n[-1:].isalnum() else header.parse(o).unit for n, o in own.items()}
+    unit = {n: u or (units or {}).get(n, "") or _angle(own[n]) for n, u in unit.items()}
+    unit = {n: u or ("" if _words(own[n]) & TORQUE else _angle(n)) for n, u in unit.items()}
     moves, asks = ("angle", "length"), ("torque", "force") if torques else ("angle", "length")
     fits = lambda kinds: {n: measures(unit[n]) in ("", *kinds) for n in names}
     measured = _best("positions of the joints", "joint", fits(moves), joints, lambda w: _position_score(w)) if joints else {}
@@ -179,8 +183,8 @@ def _pose_columns(names: Sequence[str]) -> dict[str, str]:
 
 
 def _length(column: str) -> str:
-    """Unit of a place that is a word of the name; "" without one."""
-    return "mm" if "mm" in _words(column) else ""
+    """Unit of a place that is a word of the name, of the column before the topic's; "" without one."""
+    return next((u for name in (column.rpartition(":")[2], column) for u in ("mm", "cm") if u in _words(name)), "")
 
 
 def _stamp(names: Sequence[str], units: Mapping[str, str]) -> Stamp:
@@ -227,7 +231,7 @@ def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str]
     """
     found: dict[str, dict[int, list[str]]] = {}
     for name in (name for name, fits in names.items() if fits):
-        for place, key in _places(name, sites):
+        for place, key in _places(_plain(name), sites):
             found.setdefault(key, {}).setdefault(place, []).append(name)
     whole = {key: by for key, by in found.items() if set(by) == set(range(len(sites)))}
     ranked = sorted(((score(_words(key)) or (table == "joint" and key == OWN_NAME), key) for key in whole), reverse=True)
@@ -261,6 +265,12 @@ def _places(name: str, sites: Sequence[str]) -> Iterator[tuple[int, str]]:
             yield int(last.group()) - first, f"from {first} " + name[: last.start()] + "#" + name[last.end() :]
     elif len(sites) == 1:
         yield 0, name
+
+
+def _plain(name: str) -> str:
+    """Name of a column without the unit in its topic's name, which is of some of its columns only."""
+    topic, mark, own = name.rpartition(":")
+    return re.sub(r"(?<![A-Za-z])(?:deg|rad)(?![A-Za-z])", "", topic) + mark + own
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -378,9 +388,23 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
         tables[key] = {name: column[rows] for name, column in found.items()}
         blank = f"{key}: {len(keep) - int(keep.sum())} of {len(keep)} rows left out, blank in one of the columns"
         notes += [f"{table.name}: {note}" for note in ([] if keep.all() else [blank]) + slow]
+    if len(tables) == 2 and not columns.time.unit:
+        _refuse_short(table, columns, tables["cmd"]["t"], tables["joint"]["t"])
     if columns.base:
         tables["joint"] = _posed(table, columns, tables.get("joint"))
     return Trial({}, tables, name=table.name, notes=tuple(notes))
+
+
+def _refuse_short(table: LogTable, columns: RobotColumns, sent: np.ndarray, read: np.ndarray) -> None:
+    """Raises LogError for commands and positions of two sheets, without a date, that share little of the longer one."""
+    sheets = [table.columns[str(next(iter(part.values())).column)][0] for part in (columns.actuator, columns.joint)]
+    both, share = in_common(sent, read)
+    if sheets[0] is not sheets[1] and min(sent[0], read[0]) < EPOCH and share < (least := bounds_of({}, table.where).overlap):
+        raise LogError(
+            f"{table.where}: commands from {sent[0]:.6g} to {sent[-1]:.6g} s, positions from {read[0]:.6g} to {read[-1]:.6g} s:"
+            f" they share {max(both, 0.0):.3g} s; expected at least {100 * least:g} % of the longer. Are the clocks in two units?"
+            f' Mend one, or state the unit of both in a map, --columns MAP.toml: time = {{ column = "..", unit = "s" }}'
+        )
 
 
 def _posed(table: LogTable, columns: RobotColumns, joint: dict | None) -> dict[str, np.ndarray]:

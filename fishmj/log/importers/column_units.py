@@ -276,9 +276,12 @@ def voltage_unit(values: np.ndarray) -> tuple[str, str]:
 def current_unit(values: np.ndarray) -> tuple[str, str]:
     """Unit of a supply current, and the reason."""
     most = _most(values)
-    if most <= 15:
-        return "A", f"up to {most:.3g}"
-    return ("mA", f"up to {most:.5g}") if most > 120 else ("", f"up to {most:.3g}: A or mA?")
+    if most > 120:
+        return "mA", f"up to {most:.5g}"
+    if most > 1 and (np.nan_to_num(values) % 1 == 0).all():
+        return "", f"up to {most:.3g}, whole numbers: A, mA, or counts (A*SCALE)?"
+    idle = 1e-3 * usual(values) >= bounds_of({}, "").current_least  # as mA a robot's, at rest
+    return ("", f"up to {most:.3g}, usually {usual(values):.3g}: A or mA?") if idle else ("A", f"up to {most:.3g}")
 
 
 def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Sequence[str]]:

@@ -5,16 +5,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log import toml
+from fishmj.log.clock_alignment import in_common
 from fishmj.log.importers import header, joint_switches
 from fishmj.log.importers.cells import frame_doubt
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
-from fishmj.log.importers.column_units import SI, fitting
+from fishmj.log.importers.column_units import SI, clocks_apart, fitting, time_unit
 from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
 from fishmj.log.limits import bare, quoted, typed
@@ -31,6 +32,7 @@ PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or
 STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 EVEN = 10  # rows on either side of a step back that tell a clock that was set
+SWIM = ("cmd", "joint", "pose", "imu", "velocity", "markers")  # tables that are of one swim
 SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
 ROWS = 10  # of a trial at least, on average; a column that changes more often counts something else
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
@@ -44,6 +46,7 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     """
     found: dict[str, tuple[Table, Place]] = {}
     absolute: dict[str, bool] = {}
+    clocks: dict[str, str] = {}
     taken: set[str] = set()
     notes = [note for sheet in sheets for note in sheet.notes]
     used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
@@ -54,12 +57,16 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
         taken.add(sheet.name)
         columns, place, told, absolute[table] = _table(table, sheet, entry)
         found[table] = (columns, place)
+        clocks[table] = "date" if absolute[table] else f"{sheet.where}:{entry.t.column}"
         notes += _from_end(table, sheet, columns, entry, bounds_of(meta, name).angle)
         notes += [*(note for note in sheet.notes if note not in notes), *told]
     notes += _zero({t: found[t][0] for t, is_absolute in absolute.items() if is_absolute})
     for table, entry in wanted.tables.items():
         found[table][0]["t"] = found[table][0]["t"] + entry.offset
-    _refuse_apart(name, {table: columns for table, (columns, _) in found.items()})
+    swim = {table: columns["t"] for table, (columns, _) in found.items() if table in SWIM}
+    _refuse_apart(name, swim)
+    clocks = {table: clock for table, clock in clocks.items() if "offset" not in wanted.tables[table].model_fields_set}
+    _refuse_short(name, swim, clocks, bounds_of(meta, name).overlap)
     for sheet in sheets:
         for table, entry in wanted.tables.items() if sheet.name not in taken else ():
             here = set(_sources(entry)) & sheet.columns.keys()
@@ -209,8 +216,8 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
             f"{sheet.place(int(rows[0]), entry.t.column)}: [tables.{table}]: one row only; it has no rate and moves nothing"
         )
     t, told = _unwrapped(table, sheet, t[rows], rows, entry.t, absolute)
-    notes += told
-    order, told = _rising(table, sheet, t, rows, entry.t.column)
+    notes += [*told, *_other_clock(table, sheet, entry.t, rows, t)]
+    order, told = _rising(table, sheet, t, rows, entry.t)
     if t[order].size < t.size:
         _refuse_pairs(table, sheet, t, order, {name: out[name][rows] for name in out if name != "t"}, names["t"])
     rows = rows[order]
@@ -321,7 +328,8 @@ def _unwrapped(
     turns = {"a time of day passes midnight": DAY}
     if of_day:
         turns |= {"a time of day without AM or PM passes twelve": HALF_DAY, "a time of day passes the hour": HOUR}
-    for unit, factor in (("us", 1e-6), ("ms", 1e-3), ("its unit", stamp.factor)):
+    clocks = (("us", 1e-6), ("ms", 1e-3)) if stamp.scale == 1.0 else ()  # frames are counted in no us
+    for unit, factor in (*clocks, ("its unit", stamp.factor)):
         turns |= {f"a counter of {bits} bits of {unit} begins again": 2.0**bits * factor for bits in (16, 31, 32)}
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     for told, period in turns.items():
@@ -335,7 +343,20 @@ def _unwrapped(
     return t, []
 
 
-def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: str) -> tuple[np.ndarray, list[str]]:
+def _other_clock(table: str, sheet: Sheet, stamp: Stamp, rows: np.ndarray, t: np.ndarray) -> list[str]:
+    """Notes on a count of frames, as stamps t (T,) s, from which another column of time departs by more than two frames."""
+    notes = []
+    for column in (c for c in sheet.columns if stamp.scale != 1.0 and c != stamp.column):
+        name, values = header.parse(column), sheet.columns[column][rows]
+        unit = sheet.units.get(column) or name.unit or time_unit(values)[0]
+        apart = clocks_apart(t, values, ("s", unit)) if unit and header.role(name, set()).places == ("t",) else 0.0
+        if apart and apart > 2 * float(np.median(np.diff(t))):
+            why = f"parts by {apart:.2g} s from {quoted(column)}: frames that were dropped and not counted, or another rate?"
+            notes.append(f"{table}: {quoted(stamp.column)} times {stamp.factor:g} s {why}")
+    return notes
+
+
+def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: Stamp) -> tuple[np.ndarray, list[str]]:
     """Keeps the rows with rising stamps. Single strays and repeats are left out with a note; more are an error."""
     if len(t) < 2 or (np.diff(t) > 0).all():
         return np.arange(len(t)), []
@@ -346,7 +367,7 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
     stray = ahead if ahead.sum() < behind.sum() else behind
     first = int(np.flatnonzero(behind)[0])
     step = "stands still" if t[first] == t[first - 1] else "goes back"
-    text = f"{sheet.place(int(rows[first]), column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
+    text = f"{sheet.place(int(rows[first]), stamp.column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
     repeats = int(np.sum(np.diff(t) == 0))
     if repeats == int(behind.sum()) and repeats <= 0.5 * len(t):  # stamps coarser than the rate, or rows sent twice
         return np.flatnonzero(~behind), [f"{table}: {text}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
@@ -359,13 +380,20 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, column: s
         else:
             advice = "Sort the rows by time, or name another column of time"
         raise LogError(f"{text}; {int(stray.sum())} of {len(t)} rows are out of order. {advice}")
-    if back := _set_back(t):
-        raise LogError(f"{text}; the clock was set back by {back:.3g} s. Split the file there, or name another column of time")
+    if back := _set_back(t, np.stack([values[rows] for values in sheet.columns.values()], axis=1)):
+        what = "the clock was set back" if stamp.scale == 1.0 else "the count of frames began again, back"
+        raise LogError(f"{text}; {what} by {back:.3g} s. Split the file there, or name another column of time")
     return np.flatnonzero(~stray), [f"{table}: {text}; {int(stray.sum())} such row(s) left out"]
 
 
-def _set_back(t: np.ndarray) -> float:
-    """Seconds by which a clock is set back between even stamps; 0 where rows only come out of order, as strays do."""
+def _set_back(t: np.ndarray, values: np.ndarray) -> float:
+    """Seconds by which a clock is set back, or a count of frames begins again; 0 where rows only come out of order, as strays do.
+
+    Even stamps show it on both sides of the step. Others, as where frames were dropped or the step is near an end, show it by
+    two or more rows (of other values (T, C): not sent twice) that go through stamps which were there, and on from the last.
+    """
+    rising = np.diff(t)[np.diff(t) > 0]
+    usual = float(np.median(rising)) if len(rising) else 0.0
     for first in np.flatnonzero(np.diff(t) < 0) + 1:
         around = t[max(first - EVEN, 0) : first + EVEN]
         if len(around) == 2 * EVEN:
@@ -374,7 +402,17 @@ def _set_back(t: np.ndarray) -> float:
             back = float(np.median(own[:EVEN]) - np.median(own[EVEN:]))
             if max(np.ptp(own[:EVEN]), np.ptp(own[EVEN:])) < 0.5 * step < step < back:
                 return back
+        end = first + int(np.argmax(np.append(t[first:], np.inf) > t[first - 1]))
+        before = np.flatnonzero((t[:first] >= t[first]) & (t[:first] <= t[end - 1]))
+        on = end == len(t) or t[end] - t[end - 1] <= NEAR * usual
+        if on and end - first > 1 and len(before) > 1 and not _sent_twice(values[before], values[first:end]):
+            return float(t[first - 1] - t[first]) + usual
     return 0.0
+
+
+def _sent_twice(early: np.ndarray, late: np.ndarray) -> bool:
+    """Returns True if rows (n, C) repeat rows before them."""
+    return len(early) == len(late) and np.array_equal(early, late, equal_nan=True)
 
 
 def _refuse_pairs(table: str, sheet: Sheet, t: np.ndarray, order: np.ndarray, columns: Table, stamp: str) -> None:
@@ -396,23 +434,40 @@ def _refuse_pairs(table: str, sheet: Sheet, t: np.ndarray, order: np.ndarray, co
             )
 
 
-def _refuse_apart(name: str, tables: dict[str, Table]) -> None:
+def _refuse_apart(name: str, stamps: Table) -> None:
     """Refuses tables of one swim without a common instant; commands may be sent a minute ahead of it.
 
     Raises LogError: names the tables, and the offset that would align them.
     """
-    spans = {table: (float(columns["t"][0]), float(columns["t"][-1])) for table, columns in tables.items()}
-    for early, (_, end) in spans.items():
-        for late, (begin, _) in spans.items():
-            seen = {early, late} <= {"cmd", "joint", "pose", "imu", "velocity", "markers"}
-            if seen and begin - end > (AHEAD if early == "cmd" else 0.0):
-                apart = begin - spans[early][0]
-                hours = f" ({round(apart / HOUR)} h apart: two time zones?)" if apart > 0.9 * HOUR else ""
-                raise LogError(
-                    f"{name}: {early} ends at {end:.6g} s, {late} begins at {begin:.6g} s: they have no instant in common"
-                    f"{hours}. State the offset in a map, [tables.{late}] offset = {-apart:.6g}, with which both begin at"
-                    " once; it removes a true delay too, so mend it by an event that both saw; or import one of them alone"
-                )
+    for (early, before), (late, after) in permutations(stamps.items(), 2):
+        if after[0] - before[-1] > (AHEAD if early == "cmd" else 0.0):
+            apart = float(after[0] - before[0])
+            hours = f" ({round(apart / HOUR)} h apart: two time zones?)" if apart > 0.9 * HOUR else ""
+            raise LogError(
+                f"{name}: {early} ends at {before[-1]:.6g} s, {late} begins at {after[0]:.6g} s: they have no instant in common"
+                f"{hours}. State the offset in a map, [tables.{late}] offset = {-apart:.6g}, with which both begin at"
+                " once; it removes a true delay too, so mend it by an event that both saw; or import one of them alone"
+            )
+
+
+def _refuse_short(name: str, stamps: Table, clocks: dict[str, str], least: float) -> None:
+    """Refuses tables on two clocks that share little of the longer one: other units, or other recordings.
+
+    Few commands may be followed by a long rest. clocks: of the tables whose offset no map states.
+
+    Raises LogError: names the tables and their spans.
+    """
+    for short, long in permutations((table for table in stamps if table in clocks), 2):
+        one, two = stamps[short], stamps[long]
+        both, share = in_common(one, two)
+        few = short == "cmd" and len(one) < 2 * EVEN
+        if clocks[short] != clocks[long] and 0 <= share < least and np.ptp(one) <= np.ptp(two) and not few:
+            raise LogError(
+                f"{name}: {short} spans {np.ptp(one):.6g} s, {long} {np.ptp(two):.6g} s, of which they share {both:.3g} s,"
+                f" {100 * share:.2g} % of the longer; expected at least {100 * least:g} %: are the clocks in two units, or are"
+                f" these two recordings? Mend the unit, take the right file or cut the longer one; if it is right, say offset ="
+                f" 0 in the map's [tables.{short}], or --plausible overlap={max(0.5 * share, 1e-6):.1g}"
+            )
 
 
 def _zero(tables: dict[str, Table]) -> list[str]:

@@ -473,11 +473,13 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
 
 def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]) -> list[Guess]:
     """Asks, in a file without a named time, about the rising columns that may be the stamps; without one, about all columns."""
-    out = list(guesses)
+    out, again = list(guesses), ""
     for i, g in enumerate(out):
         if g.kind == k and g.state == LEFT and not g.said:
             values = kind.sheets[0].columns[g.column]
             step = np.diff(values[np.isfinite(values)])
+            if (step < 0).any() and (step % 1 == 0).all() and np.mean(step == 1) > 0.5:
+                again = f" ({quoted(g.column)} counts the rows, but begins again: split the file there)"
             if len(step) and (step >= 0).all() and 2 * (step > 0).sum() > len(step):
                 rows = bool((step % 1 == 0).all() and np.median(step) == 1)  # with frames that were dropped
                 why = "it counts the rows, say the seconds of one" if rows else "it rises"
@@ -488,6 +490,7 @@ def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]
         lost = next((c for c in kind.columns if role(header.parse(c), set()).places == ("t",)), "")
         cell = kind.sheets[0].text.get(lost, "")
         what = f"frames, {cell}: write seconds, s + frame / frames a second" if TIME_CODE.fullmatch(cell) else "no number"
-        why = f"its file has no column of time{f' ({quoted(lost)} holds {what})' if lost else ''}: skip it, or write one"
+        again = f" ({quoted(lost)} holds {what})" if lost else again
+        why = f"its file has no column of time{again}: skip it, or write one"
         out = [g.unclear(why) if i in mine and not g.said else g for i, g in enumerate(out)]
     return out

@@ -28,6 +28,7 @@ PART = set("peduncle caudal fluke tail fin hinge schwanz flosse".split())  # wha
 ENDS = {"nose", "snout"} | PART - {"hinge"}  # points of a fish that are not its centre of mass
 RATE = set("twist vel velocity speed rate omega dot gyro geschwindigkeit drehzahl vitesse velocidad".split())
 CAMERA = set("cam camera track tracker tracking vicon mocap optitrack pose tank world com centroid head fish body kamera".split())
+FILM = set("cam camera kamera tracker tracking vicon mocap optitrack meas measured".split())  # of no target, whatever the file
 HEADING = set("yaw heading hdg theta psi orientation kurs gier orientierung ausrichtung lacet rumbo".split())
 COMPASS = set("bearing compass course azimuth kompass peilung azimut".split())
 FORCE = set("force forces fx fy fz torque torques thrust wrench moment mx my mz effort tau newton kraft drehmoment".split())
@@ -159,7 +160,8 @@ def _exact(name: Header, context: set[str]) -> Role | None:
 
 
 def _force(name: Header, context: set[str]) -> Role | None:
-    if name.has(FORCE) or measures(name.unit) in ("force", "torque") or (context & FORCE and not name.has(TIME)):
+    stated = measures(name.unit) in ("angle", "rate", "length", "speed", "voltage", "current", "acceleration")
+    if name.has(FORCE) or measures(name.unit) in ("force", "torque") or (context & FORCE and not name.has(TIME) and not stated):
         return Role(why="a force or torque; the schema's wrench holds those of every link, so it is left out")
     known = name.has(SERVO | JOINT) or (
         name.unit in ("count", "%", "norm") and name.has(COMMAND | MEASURED) and name.number is not None
@@ -236,7 +238,8 @@ def _place(name: Header, context: set[str]) -> Role | None:
         return Role((f"target.{axis}",), "where it should be")
     if name.number is not None and (name.has({"marker", "markers", "point", "led", "dot", "p"}) or name.words == (axis,)):
         return Role((f"markers.p#{axis}",), "a numbered point")
-    if context & {"target", "goal", "setpoint", "waypoint"} or (name.words == (axis,) and context & COMMAND):
+    aim = context & {"target", "goal", "setpoint", "waypoint"} and not name.has(FILM)
+    if aim or (name.words == (axis,) and context & COMMAND):
         return Role((f"target.{axis}",), "the file's name says that it is a target")
     return Role((f"pose.{axis}",), "a position" + (" of the camera" if name.has(CAMERA) else ""))
 

@@ -1,0 +1,76 @@
+"""`fishmj log import`: clocks of two units or two recordings, and counts of frames that begin again."""
+
+import lab_files
+import numpy as np
+import pytest
+from lab_files import only
+
+
+@pytest.fixture
+def bring(tmp_path, capsys, monkeypatch):
+    """Run `log import`: (exit code, stdout, stderr); the data set is tmp_path/set."""
+    return lab_files.importer(tmp_path, capsys, monkeypatch)
+
+
+def moves(t):
+    return {"x_m": 0.1 * t, "y_m": 0.02 * np.sin(t), "yaw_deg": 6 * np.sin(6 * t)}
+
+
+def test_tables_that_share_little_of_the_longer_one_are_refused(tmp_path, bring):
+    """A camera of 10 s beside motors of 299 s: clocks in two units, or the wrong file; as dates they are where they are."""
+    motors, camera = 0.02 * np.arange(14950), 0.02 * np.arange(500)
+    for name, zero in (("swim", 0.0), ("dated", 1.7e9)):
+        lab_files.write(tmp_path / name / "motors.csv", {"time_s": zero + motors, "servo1_deg": 20 * np.sin(6 * motors)})
+        lab_files.write(tmp_path / name / "camera.csv", {"time_s": zero + 3 + camera, **moves(camera)})
+    code, _, err = bring(tmp_path / "swim", "--yes")
+    assert code == 2 and "swim: pose spans 9.98 s, cmd 298.98 s, of which they share 9.98 s, 3.3 % of the longer" in err
+    assert "[tables.pose], or --plausible overlap=0.02" in err
+    assert bring(tmp_path / "swim", "--yes", "--plausible", "overlap=0.02", out=tmp_path / "a")[0] == 0
+    assert bring(tmp_path / "swim", "--write-map", tmp_path / "map.toml", out=None)[0] == 0
+    said = (tmp_path / "map.toml").read_text().replace("[tables.pose]", "[tables.pose]\noffset = 0")
+    (tmp_path / "map.toml").write_text(said)
+    assert bring(tmp_path / "swim", "--columns", tmp_path / "map.toml", out=tmp_path / "b")[0] == 0
+    assert bring(tmp_path / "dated", "--yes", out=tmp_path / "c")[0] == 0
+
+
+def by_frames(tmp_path, frames, **more):
+    """A camera's file whose stamps are a count of frames at 50 Hz, and the map that says so."""
+    unit = ', unit = "deg"'
+    columns = "".join(f'columns.{c.split("_")[0]} = {{ column = "{c}"{unit * c.endswith("deg")} }}\n' for c in moves(0))
+    (tmp_path / "map.toml").write_text(f'[tables.pose]\nt = {{ column = "frame", scale = 0.02 }}\n{columns}')
+    path = lab_files.write(tmp_path / "in" / "camera.csv", {"frame": frames, **moves(0.02 * np.arange(len(frames))), **more})
+    return path, "--columns", tmp_path / "map.toml"
+
+
+@pytest.mark.parametrize(
+    ("row", "back", "dropped"), [(6, 6, []), (3994, 30, []), (28, 30, [5, 33]), (1999, 30, [1993, 2006]), (3276, 3276, [])]
+)
+def test_a_count_of_frames_that_begins_again_is_refused(tmp_path, bring, row, back, dropped):
+    """Also near an end, beside frames that were dropped, and where 16 bits of milliseconds would turn."""
+    frames = np.delete(np.arange(4000.0), dropped)
+    frames[row:] -= min(back, frames[row])
+    code, _, err = bring(*by_frames(tmp_path, frames))
+    assert code == 2 and f"camera.csv:{row + 2}:frame: time goes back" in err and "plit the file there" in err
+
+
+def test_frames_out_of_order_or_sent_twice_are_strays(tmp_path, bring):
+    frames = np.arange(1000.0)
+    frames[[400, 401]] = frames[[401, 400]]
+    path, *said = by_frames(tmp_path, frames)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, *lines[-4:]]) + "\n")  # the last buffer, written again
+    code, _, err = bring(path, *said)
+    assert code == 0, err
+    assert len(only(tmp_path / "set").tables["pose"]["t"]) == 999
+
+
+def test_a_count_of_frames_that_another_clock_contradicts_is_noted(tmp_path, bring):
+    """Frames that are numbered on after a pause of 2 s; and a count that begins again is named where no time is found."""
+    frames = np.arange(1000.0)
+    t = 0.02 * frames + 2.0 * (frames >= 500)
+    assert bring(*by_frames(tmp_path, frames, time_s=t))[0] == 0
+    assert "'frame' times 0.02 s parts by 2 s from 'time_s'" in " ".join(only(tmp_path / "set").meta["notes"])
+    assert bring(*by_frames(tmp_path, frames, time_s=0.02 * frames + 3), out=tmp_path / "same")[0] == 0
+    assert "parts by" not in " ".join(only(tmp_path / "same").meta["notes"])
+    code, _, err = bring(by_frames(tmp_path, frames % 500)[0], "--yes", out=tmp_path / "again")
+    assert code == 2 and "'frame' counts the rows, but begins again" in err
