@@ -435,3 +435,22 @@ def test_a_column_that_says_what_it_is_outweighs_the_name_of_its_file(tmp_path, 
     assert code == 0, err
     near(only(tmp_path / "set").table("joint")["j1"], SWING[1])
     near(only(tmp_path / "set").table("pose")["x"], 0.1 * T)
+
+
+@pytest.mark.parametrize(("swims", "rests", "late"), [(0.7, 0.3, 0.0), (3, 0.45, 0.0), (2, 2, 0.0), (2, 2, 0.3)])
+@pytest.mark.parametrize("noise", [0.0, 3e-5])
+@pytest.mark.parametrize("joints", [True, False])
+def test_a_fish_at_rest_is_no_tracker_that_repeats_its_pose(swims, rests, late, noise, joints):
+    """Its pose stays one number, or flickers in its last digit; and for `late` s after its joints have begun to move."""
+    t = 0.02 * np.arange(1000)
+    way = np.cumsum(np.minimum(t % (swims + rests) / 0.1, 1.0) * (t % (swims + rests) < swims)) * 0.02
+    rng, bent, seen = np.random.default_rng(3), np.interp(t + late, t, way), way
+    coarse = lambda v, digit: digit * np.round((v + noise * rng.standard_normal(len(v))) / digit)
+    place = {"x": coarse(0.1 * seen, 1e-4), "y": coarse(0.02 * np.sin(seen), 1e-4), "yaw": coarse(0.2 * np.sin(6 * seen), 1e-3)}
+    tables = {"pose": {"t": t, **place}, "joint": {"t": t, "j1": 0.4 * np.sin(6 * bent), "j2": 0.4 * np.cos(6 * bent)}}
+    rest = log.Trial({}, tables if joints else {"pose": tables["pose"]})
+    assert not [f.text for f in physical_checks.examine(rest) if "repeat" in f.text]
+    lost = rng.random(len(t)) < 0.1
+    k = np.maximum.accumulate(np.where(lost, 0, np.arange(len(t))))
+    tables["pose"] |= {name: v[k] for name, v in place.items()}
+    assert any("repeat the pose of the row before" in f.text for f in physical_checks.examine(rest))

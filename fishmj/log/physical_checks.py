@@ -65,6 +65,8 @@ WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a co
 RELEASED = 0.02  # m from a pose that was held to the next one
 ECHO = 5  # rows by which an echo of a command is late, at most
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
+ANSWER = 0.4  # s in which a fish at rest answers its joints, and the camera shows it
+GONE = 0.25  # of the way at its usual speed by which a fish has gone on behind a pose that repeats; less is a rest
 OLD = 0.01  # share of rows that repeat a pose for less than that, or were filled in, from which it is noted
 LINE, ROUNDED = 5e-3, 0.03  # of the usual bend between rows, on a straight line: exact numbers, and rounded ones at most
 FILLED, RESAMPLED = 3, 0.2  # rows of one line; share of rows on lines from which shorter ones count
@@ -266,11 +268,29 @@ def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return
     t, clock = np.asarray(pose["t"], float), np.asarray(bent.get("t", ()), float)
-    ends = np.append(np.flatnonzero(np.diff([pose[name] for name in ("x", "y", "yaw")]).any(0)) + 1, len(t))
-    held = [(t[a], t[b - 1]) for a, b in pairwise(ends) if t[b - 1] - t[a] >= FROZEN and b - a > FEWEST]
-    bend = lambda at: max((np.ptp(bent[name][at]) for name in angles if at.any()), default=0.0)
-    leaps = dict(zip(t[ends - 1], np.append(np.hypot(*(np.diff(pose[name])[ends[:-1] - 1] for name in "xy")), 0.0), strict=True))
-    held = [(a, b) for a, b in held if (bend((clock >= a) & (clock <= b)) > 2 * DRIVEN if angles else leaps[b] > RELEASED)]
+    values = np.stack([pose["x"], pose["y"], np.unwrap(pose["yaw"])])
+    steps = np.abs(np.diff(values))
+    ends = np.append(np.flatnonzero(steps.any(0)) + 1, len(t))
+    pace = (steps**2 / np.maximum(np.diff(t), 1e-6)).sum(1) / np.maximum(steps.sum(1), 1e-12)  # speed, weighed by the way
+    digit = np.min(np.where(steps > 0, steps, np.inf), axis=1, initial=np.inf)
+
+    def missed(a: int, b: int) -> bool:
+        """Returns True if the fish is elsewhere after rows a to b - 1 of one pose: it did not rest."""
+        leap = np.abs(values[:, min(b, len(t) - 1)] - values[:, a])
+        return bool((leap > np.maximum(GONE * pace * (t[min(b, len(t) - 1)] - t[a]), 1.5 * digit)).any())
+
+    def bend(first: float, last: float) -> float:
+        at = (clock >= first) & (clock <= last)
+        return max((np.ptp(bent[name][at]) for name in angles if at.any()), default=0.0)
+
+    def moved(a: int, b: int) -> bool:
+        """Returns True if the joints, or the fish without joints, move in rows a to b - 1, and not just before an answer."""
+        if not angles:
+            return b < len(t) and float(np.hypot(*(values[:2, b] - values[:2, b - 1]))) > RELEASED
+        return bend(t[a], t[b - 1] - ANSWER * (not missed(a, b))) > 2 * DRIVEN
+
+    runs = [(a, b) for a, b in pairwise(ends) if t[b - 1] - t[a] >= FROZEN and b - a > FEWEST]
+    held = [(t[a], t[b - 1]) for a, b in runs if moved(a, b)]
     whole = sum(b - a for a, b in held)
     doing = "the joints move" if angles else "the fish goes on"
     if held and len(ends) > 20 and whole > bounds.stale * (t[-1] - t[0]):
@@ -279,9 +299,8 @@ def _frozen_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             " did the tracker stop? Leave these cells blank, or split the file there"
         )
         yield USE, text
-    short = [(a, b) for a, b in pairwise((0, *ends)) if b - a > 1 and t[b - 1] - t[a] < FROZEN]
+    short = [(a, b) for a, b in pairwise((0, *ends)) if b - a > 1 and t[b - 1] - t[a] < FROZEN and missed(a, b)]
     rows = sum(b - a - 1 for a, b in _of_a_swim(trial, short))
-    steps = np.abs(np.diff(np.stack([np.asarray(pose[name], float) for name in ("x", "y", "yaw")])))
     if bounds.stale < 1 and rows >= max(OFTEN, OLD * len(t)) and not is_coarse(steps):
         text = (
             f"pose: {rows} of {len(t)} rows repeat the pose of the row before, while {doing}, and are read as if measured at"
