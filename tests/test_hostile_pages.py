@@ -14,6 +14,7 @@ from synthetic import swim
 
 from fishmj import engines, evaluate, log
 from fishmj.base import console, pages
+from fishmj.base.errors import ConfigError
 from fishmj.evaluate import plots, trial_report
 from fishmj.evaluate.rank_waters.plot import picture as draw_rank
 from fishmj.gap.calibrate import fit_plots
@@ -48,7 +49,7 @@ def found_of(results):
 
 # ----------------------------------------------------------------------------------------------------------------- pages
 def replay_of(trial, folder):
-    return write_html([trial, trial], folder / "replay.html", title=EVIL)
+    return write_html([trial, trial], folder / "replay.html", ROBOT, EVIL)
 
 
 def judgement_of(judged, folder):
@@ -157,7 +158,7 @@ def test_drawn_text_is_letter_by_letter():
 
 
 def test_a_film_takes_any_label(trial, tmp_path):
-    assert write_png([trial], tmp_path / "a.png", 1.0, title=EVIL * 50).is_file()
+    assert write_png([trial], tmp_path / "a.png", 1.0, ROBOT, title=EVIL * 50).is_file()
 
 
 # ---------------------------------------------------------------------------------------------- terminal, tables, names
@@ -188,7 +189,8 @@ def test_the_robot_of_a_log_is_never_a_path(tmp_path):
     other = tmp_path / "other.toml"
     other.write_text("[[link]]\n")
     for name in (str(other), "../" * 9 + "etc/passwd", EVIL, 3, {"a": 1}, ["fish"], "fish\x00"):
-        assert robot_of(log.Trial({"robot": name}, {})).name == ROBOT.name
+        with pytest.raises(ConfigError, match="does not come with fishmj"):
+            robot_of(log.Trial({"robot": name}, {}))
 
 
 def test_a_hostile_trial_can_be_exported_and_read_again(trial, tmp_path):

@@ -88,8 +88,10 @@ def test_what_cannot_be_replayed_says_why(trial, robot, tmp_path):
 
 def test_the_robot_is_the_one_that_the_log_names(trial):
     assert robot_of(trial).name == "swift"
-    assert robot_of(log.Trial({"robot": "someone else's"}, {})).name == "swift"
+    assert robot_of(log.Trial({}, {})).name == "swift"
     assert robot_of(log.Trial({"robot": "tendon_fish"}, {})).name != "swift"
+    with pytest.raises(ConfigError, match='robot "someone else\'s", which does not come with fishmj; name its description'):
+        robot_of(log.Trial({"robot": "someone else's"}, {}))
 
 
 # ----------------------------------------------------------------------------------------------------------------- page
@@ -233,10 +235,17 @@ def test_a_log_of_the_same_body_is_drawn_and_an_older_one_with_a_remark(trial, r
         assert ("not the same description" in capsys.readouterr().err) == noted, name
 
 
-def test_a_robot_that_does_not_come_with_fishmj_is_said(trial, tmp_path, capsys):
-    log.write_trial(tmp_path / "a", log.Trial({**trial.meta, "robot": "my_fish"}, trial.tables))
-    assert main([str(tmp_path / "a"), "--out", str(tmp_path / "r.html")]) == 0
-    assert "robot 'my_fish' does not come with fishmj: drawn as 'swift'; name its own with --robot" in capsys.readouterr().err
+def test_a_log_of_an_own_fish_is_not_drawn_as_a_shipped_one(trial, tmp_path, capsys):
+    mine, out = tmp_path / "my_fish.toml", tmp_path / "r.html"
+    mine.write_text(resolve("fish").read_text(encoding="utf-8").replace('name = "swift"', 'name = "my_fish"'), encoding="utf-8")
+    log.write_trial(tmp_path / "a", log.Trial({**trial.meta, **identity(load_robot(mine))}, trial.tables))
+    capsys.readouterr()
+    for argv in (["--out", str(out)], ["--png", str(out.with_suffix(".png"))]):
+        assert console.run(main, [str(tmp_path / "a"), *argv]) == console.BAD_INPUT
+    said = capsys.readouterr().err
+    told = "the log is of robot 'my_fish', which does not come with fishmj; name its description with --robot FILE.toml"
+    assert said.count(told) == 2 and "drawn" not in said and not out.exists()
+    assert main([str(tmp_path / "a"), "--out", str(out), "--robot", str(mine)]) == 0 and "drawn" not in capsys.readouterr().err
 
 
 def test_help_teaches_by_example(capsys):

@@ -283,7 +283,7 @@ def tables(
     given = args.beside if args.beside is not None else sorted(p.parent for p in (session.folder / BESIDE).glob("*/trials.csv"))
     results = [own, *(trials_tables.beside(folder, controller.name, own) for folder in given)]
     notes = [*trials_tables.lacking(own, logs, len(places)), *trials_tables.waters_beside(given)]
-    replay = trials_tables.worst_replay(session.folder, own, places)
+    replay = trials_tables.worst_replay(session.folder, own, places, args.robot)
     found, lacks = trials_tables.written(session.folder, results, notes, plots=args.plots, replay=replay)
     trials_tables.shown(results, found)
     for line in lacks:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.base import console
+from fishmj.base.calib import robot_called
 from fishmj.base.errors import ConfigError, LogError, MissingExtra, StoreError
 from fishmj.base.store import read_json, write_text
 from fishmj.deploy.trials.schedule import KEPT, Place, name_of
@@ -249,13 +250,14 @@ def waters_beside(folders: Sequence[Path]) -> list[str]:
     return lines
 
 
-def worst_replay(out: Path, result: Result, places: Sequence[Place]) -> str:
-    """The command that plays the robot's worst trial."""
+def worst_replay(out: Path, result: Result, places: Sequence[Place], robot: str) -> str:
+    """The command that plays the robot's worst trial. robot: its description, as it was named."""
     from fishmj.evaluate import trial_report
 
     spec = result.trials.items[trial_report.worst(result)]
     name = next(place.name for place in places if place.spec == spec)
-    return f"fishmj replay {shlex.quote(str(out / KEPT / name))}"
+    own = [] if robot_called(robot) else ["--robot", robot]
+    return shlex.join(["fishmj", "replay", str(out / KEPT / name), *own])
 
 
 def shown(results: list[Result], found: dict[str, Any]) -> None:

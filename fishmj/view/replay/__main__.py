@@ -6,9 +6,8 @@ from pathlib import Path
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.log import Trial, read_trial
-from fishmj.mjcf.reading import load_robot
 from fishmj.view.replay.html import write_html
-from fishmj.view.replay.replay_data import named_robot, robot_of, unlike
+from fishmj.view.replay.replay_data import robot_of, unlike
 from fishmj.view.replay.video import write_mp4, write_png
 
 PAGE = Path("replay.html")
@@ -38,7 +37,7 @@ def options() -> console.Parser:
     add("--png", type=console.out_file, metavar="FILE", help="write a top-view picture, at --at seconds; by default none")
     add("--at", type=console.number(0, 1e6), default=0.0, metavar="S", help="time of the picture from the start")
     add("--speed", type=console.number(0.01, 100), default=1.0, help="playing speed, 1 = real time")
-    robot = "description (name or TOML) of the fish, of the log's structure; by default the one that the log names, else fish"
+    robot = "description (name or TOML) of the log's fish; default the shipped one that the log names, else fish"
     add("--robot", type=console.text, help=robot)
     add("--title", type=console.text, help="heading of the page; by default the names of the logs")
     add("--open", action="store_true", help="open the page in the browser")
@@ -69,17 +68,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def drawn_as(trial: Trial, robot: str | None) -> str:
-    """Remark on a trial that is drawn as a robot other than its own. Raises ConfigError if their structures differ."""
-    if robot is not None:
-        return unlike(trial, load_robot(robot))
-    own = str(trial.value("robot") or "")[:64]
-    if (named := named_robot(trial)) is not None:
-        old = trial.value("robot_sha256") is not None and trial.value("body_sha256") is None
-        return unlike(trial, named) if old else ""
-    if not own:
-        return ""
-    drawn = f"drawn as {robot_of(trial).name!r}; name its own with --robot"
-    return f"{trial.name or 'trial'}: robot {own!r} does not come with fishmj: {drawn}"
+    """Remark on a trial that is drawn as a robot other than its own. Raises ConfigError if it cannot be drawn as this one."""
+    drawn, old = robot_of(trial, robot), trial.value("robot_sha256") is not None and trial.value("body_sha256") is None
+    return unlike(trial, drawn) if old or robot is not None else ""
 
 
 def report(trials: list[Trial], written: list[Path], *, as_json: bool) -> None:

@@ -69,10 +69,16 @@ class Track:
 
 
 def robot_of(trial: Trial, robot: "Robot | str | None" = None) -> Robot:
-    """`robot` if given, else the shipped description that the trial's meta names, else the default fish."""
+    """`robot` if given, else the shipped description that the trial's meta names; the default fish if it names none.
+
+    Raises ConfigError: the log is of a robot that does not come with fishmj, and none is given.
+    """
     if robot is not None:
         return load_robot(robot)
-    return named_robot(trial) or load_robot("fish")
+    if (named := named_robot(trial)) is None and (own := trial.value("robot")):
+        told = f"the log is of robot {str(own)[:64]!r}, which does not come with fishmj"
+        raise ConfigError(f"{trial.name or 'trial'}: {told}; name its description with --robot FILE.toml")
+    return named or load_robot("fish")
 
 
 def named_robot(trial: Trial) -> Robot | None:
