@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 import struct
 from dataclasses import replace
 
@@ -19,11 +20,14 @@ from fishmj.base.store import write_tensors
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
 from fishmj.control.policy_meta import structure_sha256
+from fishmj.deploy.commands.swim_command import main as swim
+from fishmj.deploy.commands.trials_command import main as trials
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.log import read_trial
 from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
+from fishmj.view.play.__main__ import main as play
 from fishmj.water.choice import in_water
 from fishmj.water.hydro_model import HydroModel
 
@@ -131,7 +135,7 @@ def test_another_structure_or_order_is_refused_with_both(tmp_path, robot, said, 
 
 
 def test_a_policy_of_another_robot_names_the_robot_that_it_was_trained_for():
-    with pytest.raises(ConfigError, match="it was trained for 'swift': name that one, --robot FILE; or the controller dob"):
+    with pytest.raises(ConfigError, match="it was trained for 'swift'.* in simulations the controller dob"):
         control.make("station", load_robot("tendon_fish"))
 
 
@@ -171,13 +175,38 @@ def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_pa
 HELD = replace(ROBOT, timing=replace(ROBOT.timing, command_path="hold"))
 
 
+@pytest.fixture
+def held_fish(tmp_path):
+    """The description of the fish on another command path."""
+    text, path = (calib_folder() / "fish.toml").read_text(encoding="utf-8"), tmp_path / "held.toml"
+    head, _, rest = text.partition("[timing]\n")
+    lines = [line for line in rest.splitlines() if not line.startswith("command_path")]
+    path.write_text("\n".join([f'{head}[timing]\ncommand_path = "hold"', *lines]), encoding="utf-8")
+    return path
+
+
 def test_another_command_path_is_refused_unless_it_was_asked_for():
-    with pytest.raises(
-        ConfigError, match="trained on command path linear, the robot's is hold: evaluate with --command-path linear, "
-    ):
+    with pytest.raises(ConfigError, match="trained on command path linear, the robot's is hold: put command_path"):
         control.make("paper", HELD)
     (note,) = control.make("paper", HELD, anyway=True).notes
     assert note == "policy paper: not as trained: command path linear, here hold"
+
+
+@pytest.mark.parametrize(
+    ("main", "words", "options"),
+    [
+        (evaluate, ["paper"], {"--robot", "--anyway", "--command-path"}),
+        (play, ["--controller", "paper"], {"--robot", "--anyway"}),
+        (swim, ["--policy", "paper"], {"--robot", "--anyway"}),
+        (trials, ["--policy", "paper", "--out", "new"], {"--robot", "--anyway"}),
+    ],
+)
+def test_a_refused_policy_is_answered_with_options_of_the_command(main, words, options, held_fish, capsys, monkeypatch):
+    monkeypatch.chdir(held_fish.parent)
+    assert console.run(main, [*words, "--robot", held_fish.name]) == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert 'the robot\'s is hold: put command_path = "linear" into [timing] of its description' in said
+    assert set(re.findall(r"--[a-z-]+", said.partition("in simulations")[0])) == options
 
 
 def test_the_former_name_of_anyway_goes_on_with_one_line(capsys):
@@ -194,13 +223,8 @@ def test_a_command_path_on_the_command_line_is_no_consent(capsys):
     assert capsys.readouterr().err.count("not as trained: command path linear, here hold") == 1
 
 
-def test_a_description_with_another_command_path_is_no_consent(tmp_path, capsys):
-
-    text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
-    head, _, rest = text.partition("[timing]\n")
-    lines = [line for line in rest.splitlines() if not line.startswith("command_path")]
-    (tmp_path / "held.toml").write_text("\n".join([f'{head}[timing]\ncommand_path = "hold"', *lines]), encoding="utf-8")
-    argv = ["paper", "--robot", str(tmp_path / "held.toml"), *SHORT]
+def test_a_description_with_another_command_path_is_no_consent(held_fish, capsys):
+    argv = ["paper", "--robot", str(held_fish), *SHORT]
     assert console.run(evaluate, argv) == console.BAD_INPUT
     assert "the robot's is hold" in capsys.readouterr().err
     assert console.run(evaluate, [*argv, "--any-command-path"]) == console.OK

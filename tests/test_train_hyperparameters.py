@@ -214,7 +214,7 @@ def test_policy_of_another_control_step_is_refused_with_the_remedy():
     said = fit(policy.meta, body_of(robot_for(preset("quick"))), anyway=False, known={}).refused
     assert said == (
         "decides every 0.1 s, the robot every 0.2 s: put control_dt = 0.1 into [timing] of its description, FILE.toml, and name "
-        "that (--robot FILE.toml), or evaluate with --control-dt 0.1, apart from policies that decide at other times",
+        "that (--robot FILE.toml), or add --control-dt 0.1, apart from policies that decide at other times",
     )
     assert not fit(policy.meta, body_of(robot_for(settings)), anyway=False, known={}).refused
 

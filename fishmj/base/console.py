@@ -195,6 +195,11 @@ class Help(argparse.RawDescriptionHelpFormatter):
 _DASHED = re.compile(r"[\u2010-\u2015\u2212\ufe58\uff0d][\u2010-\u2015\u2212\ufe58\uff0d-]*([^\W\d_][^=]*)")
 
 
+def offers(option: str) -> bool:
+    """Returns True if the running command has this option, `--anyway`: advice names no other. A program has none."""
+    return option in _AT_HAND[0]
+
+
 class Parser(argparse.ArgumentParser):
     """argparse whose errors are one `UsageError` line with the nearest known option or choice, in place of the usage text.
 
@@ -229,6 +234,7 @@ class Parser(argparse.ArgumentParser):
         args = list(sys.argv[1:] if args is None else args)
         self._refuse_typographic_dashes(args)
         self._given: set[argparse.Action] = set()
+        _AT_HAND[0] = self._option_string_actions
         return super().parse_known_args(args, namespace)
 
     def _refuse_typographic_dashes(self, words: Sequence[str]) -> None:
@@ -294,6 +300,7 @@ class Command(NamedTuple):
     example: str
 
 
+_AT_HAND: list[Mapping[str, argparse.Action]] = [{}]  # options of the command that is running
 _EXAMPLES: dict[str, str] = {}  # program -> examples below the help of a command that a group offers
 
 

@@ -12,7 +12,7 @@ from fishmj.base.names import nearest
 from fishmj.base.options import shown
 from fishmj.control import CONTROLLERS
 from fishmj.control.policy import FOLDER, Policy, file_of
-from fishmj.control.policy_meta import PolicyBody, PolicyFit, fit, structure_sha256
+from fishmj.control.policy_meta import PolicyBody, PolicyFit, fit, robot_option, structure_sha256
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
@@ -21,7 +21,7 @@ from fishmj.water.water_identity import water_identity
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
 TOLD = ("robot", "structure_sha256", "constants_sha256", "water", "command_path", "seed", "command")  # of a header
-OTHERS = "the controller dob steers any fish, and fishmj train --robot FILE makes a policy for this one"
+OTHERS = "in simulations the controller dob steers any fish, and fishmj train --robot FILE makes a policy for this one"
 
 
 class LearnedController:
@@ -60,8 +60,9 @@ class LearnedController:
 
     def _remedy(self, robot: Robot) -> str:
         """Advice where the policy does not fit this robot."""
-        own = str(self.policy.meta.get("robot", robot.name))
-        return f"it was trained for {shown(own)}: name that one, --robot FILE; or {OTHERS}" if own != robot.name else OTHERS
+        own, option = str(self.policy.meta.get("robot", robot.name)), robot_option()
+        named = f": name that one, {option} FILE; or" if option else ";"
+        return f"it was trained for {shown(own)}{named} {OTHERS}" if own != robot.name else OTHERS
 
     def trained(self, robot: Robot | None = None) -> dict:
         """Training of the policy and differences here, in plain types for results and logs.

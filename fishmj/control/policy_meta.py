@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import is_name
 from fishmj.water.water_identity import members_of
@@ -151,11 +152,11 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
         refused.append(f"sees {a}; the robot gives {b}")
     wanted, path = meta.get("command_path"), robot.command_path
     if wanted not in (None, path) and not anyway:
-        todo = f"evaluate with --command-path {wanted}, or put it into [timing] of the robot's description, or add --anyway"
+        todo = timing_advice("command_path", f'"{wanted}"') + (", or add --anyway" if console.offers("--anyway") else "")
         refused.append(f"trained on command path {wanted}, the robot's is {path}: {todo}")
     if (step := meta.get("control_dt")) is not None and abs(step / robot.control_dt - 1) > SAME:
-        todo = f"put control_dt = {step:g} into [timing] of its description, FILE.toml, and name that (--robot FILE.toml)"
-        todo += f", or evaluate with --control-dt {step:g}, apart from policies that decide at other times"
+        todo = timing_advice("control_dt", f"{step:g}")
+        todo += ", apart from policies that decide at other times" if console.offers("--control-dt") else ""
         refused.append(f"decides every {step:g} s, the robot every {robot.control_dt:g} s: {todo}")
     for key, there, here in (("robot", name, robot.name), ("command path", wanted, path)):
         if there not in (None, here):
@@ -175,6 +176,19 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
         "training command": "command" in meta,
     }  # fmt: skip
     return PolicyFit(tuple(refused), differs, tuple(key for key, there in has.items() if not there))
+
+
+def robot_option() -> str:
+    """Option by which the running command takes a description; "" if it takes none."""
+    return next(filter(console.offers, ("--robot", "--fish")), "")
+
+
+def timing_advice(key: str, value: str) -> str:
+    """Ways to give the robot the timing of a policy, by options that the running command has."""
+    option, named = f"--{key.replace('_', '-')}", robot_option()
+    todo = f"put {key} = {value} into [timing] of its description, FILE.toml"
+    todo += f", and name that ({named} FILE.toml)" if named else ""
+    return f"{todo}, or add {option} {value.strip(chr(34))}" if console.offers(option) else todo
 
 
 def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
