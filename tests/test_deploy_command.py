@@ -52,8 +52,10 @@ BAD = {
     "--link serial:/dev/none --camera shm:none --calibration nowhere.toml": "nowhere.toml",
     "--link udp://127.0.0.1:9 --camera loopback": "only with --link loopback",
     "--loopback '": "No closing quotation",
-    "--flow 0.1,3.14 --loopback=--flow=0.3,0": "--flow 0.1,3.14 beside a loopback robot in a stream of 0.3,0",
-    "--flow 0.1,3.14": "--flow 0.1,3.14 beside a loopback robot in a stream of 0,0",
+    "--flow 0.1,3.14": "as it was before, would be 179.9 deg; if deg is meant, write 3.14deg",
+    "--flow 0.1,180 --loopback=--flow=0.3,0": "--flow 0.1,180 beside a loopback robot in a stream of 0.3,0",
+    "--flow 0.1,180": "--flow 0.1,180 beside a loopback robot in a stream of 0,0",
+    "--link udp://127.0.0.1:9 --camera 0 --tag-mount 0.06,0": "expected X,Y,YAW such as 0,0,90",
     "--servo-ids 4,5,6": "--servo-ids has an effect with --link serial:DEVICE or --protocol servo-bus only",
     "--link udp://127.0.0.1:9 --baud 115200": "--baud has an effect with --link serial:DEVICE",
     "--link serial:/dev/none --protocol mish-fixed": "--protocol has an effect with --link udp://HOST or loopback only",
@@ -64,10 +66,13 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("words", "flow"), [("--flow 0.1,3.14", (0.1, 3.14)), ("--seed 3", (0.0, 0.0))])
+@pytest.mark.parametrize(
+    ("words", "flow"),
+    [("--flow 0.1,180", (0.1, np.pi)), ("--seed 3 --flow=0.1,-3deg", (0.1, -np.pi / 60)), ("--seed 3", (0.0, 0.0))],
+)
 def test_a_log_states_the_stream_of_its_loopback_robot(words, flow):
     given = ["--policy", "station", "--link", "loopback", "--loopback", words]
-    assert wiring.parsed(options(), given).flow == flow
+    assert wiring.parsed(options(), given).flow == pytest.approx(flow)
 
 
 @pytest.mark.parametrize("words", BAD)

@@ -1,6 +1,7 @@
 """Names of trials that are imported from several folders, and the experiments that are stated of them."""
 
 import lab_files
+import numpy as np
 import pytest
 
 from fishmj import log
@@ -93,7 +94,7 @@ def test_an_excitation_with_two_readings_is_refused(texts):
 
 def test_the_current_is_stated_by_an_option_or_not_at_all(tmp_path, bring):
     lab_files.one(tmp_path / "in" / "swim.csv")
-    for words, speed, direction in (((), None, None), (("--flow", "0.2,3.14"), 0.2, 3.14), (("--flow", "0,0"), 0.0, 0.0)):
+    for words, speed, direction in (((), None, None), (("--flow", "0.2,180"), 0.2, np.pi), (("--flow", "0,0"), 0.0, 0.0)):
         out = tmp_path / f"set{len(words)}{speed}"
         assert bring(tmp_path / "in", *words, "--yes", out=out)[0] == 0
         trial = lab_files.only(out)

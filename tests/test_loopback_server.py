@@ -142,15 +142,15 @@ def test_frames_reach_shared_memory_when_they_are_due(monkeypatch):
 
 def test_the_command_reads_all_its_options_and_refuses_what_cannot_be(tmp_path):
     text = (
-        "--fault loss=0.1 --fault brown_out@30 --effect command_latency:delay=0.15 --flow 0.2,3.14 --turbulence gust --marks tag"
+        "--fault loss=0.1 --fault brown_out@30 --effect command_latency:delay=0.15 --flow 0.2,180 --turbulence gust --marks tag"
     )
     made = loopback_command.served(
-        loopback_command.options().parse_args([*text.split(), "--start=-0.5,0.2,1.0", "--camera-latency", "0.03"])
+        loopback_command.options().parse_args([*text.split(), "--start", "-0.5,0.2,1deg", "--camera-latency", "0.03"])
     )
     settings = made.settings
-    assert [fault.name for fault in settings.faults] == ["loss", "brown_out"] and settings.start == (-0.5, 0.2, 1.0)
+    assert [fault.name for fault in settings.faults] == ["loss", "brown_out"] and settings.start == (-0.5, 0.2, np.radians(1))
     assert settings.effects == {"command_latency": {"delay": 0.15}} and settings.flow.rms > 0 and settings.marks == "tag"
-    for bad in ("--flow 0.2", "--flow 9,0", "--address 0.0.0.0", "--start 0,0"):
+    for bad in ("--flow 0.2", "--flow 9,0", "--address 0.0.0.0", "--start 0,0", "--flow 0.2,3.14"):
         with pytest.raises(UsageError):
             loopback_command.options().parse_args(bad.split())
     with pytest.raises(UnknownName):

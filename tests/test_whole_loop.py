@@ -53,7 +53,7 @@ def test_swim_command_runs_in_lockstep_and_records_the_true_path(tmp_path, monke
     monkeypatch.setattr(graceful_stop, "first_in_line", lambda: pytest.fail("a loop that never waits goes before all others"))
     tank, out = Tank(), tmp_path / "swim"
     assert tank.path.shape == (0, 4) and np.isnan(tank.begun)
-    words = ["--policy", "station", "--seconds", "2", "--out", str(out), "--loopback", "--seed 4 --start=-0.5,0.1,3"]
+    words = ["--policy", "station", "--seconds", "2", "--out", str(out), "--loopback", "--seed 4 --start=-0.5,0.1,171.9"]
     assert swim_command.main(words, wire=tank.wire) == console.OK
     log, path = read_trial(out), tank.path
     assert path[0, 1:3] == pytest.approx((-0.5, 0.1), abs=1e-3) and np.all(np.diff(path[:, 0]) > 0)

@@ -29,6 +29,8 @@ from fishmj.base.options import Listed as Listed
 from fishmj.base.options import Number as Number
 from fishmj.base.options import OneOf as OneOf
 from fishmj.base.options import add_settings as add_settings
+from fishmj.base.options import angle as angle
+from fishmj.base.options import angle_text as angle_text
 from fishmj.base.options import device as device
 from fishmj.base.options import devices as devices
 from fishmj.base.options import flow as flow
@@ -38,6 +40,7 @@ from fishmj.base.options import numbers as numbers
 from fishmj.base.options import out_file as out_file
 from fishmj.base.options import out_folder as out_folder
 from fishmj.base.options import path as path
+from fishmj.base.options import pose as pose
 from fishmj.base.options import refuse_unheeded as refuse_unheeded
 from fishmj.base.options import settings_of as settings_of
 from fishmj.base.options import text as text
@@ -208,7 +211,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args, **options):
         super().__init__(*args, **{"formatter_class": Help, "allow_abbrev": False} | options)
-        number = r"(\d+\.?\d*|\.\d+)(e[-+]?\d+)?"  # the first of a list, too, may be negative
+        number = r"(\d+\.?\d*|\.\d+)(e[-+]?\d+)?(deg)?"  # the first of a list, too, may be negative
         self._negative_number_matcher = re.compile(rf"^-{number}(,-?{number})*$|^-(inf|infinity|nan)$", re.IGNORECASE)
 
     def error(self, message: str) -> NoReturn:

@@ -156,21 +156,41 @@ def whole(low: int, high: int | None = None) -> Number:
     return Number(low, math.inf if high is None else high, whole=True)
 
 
-def numbers(form: str, *ranges: tuple[float, float]) -> Callable[[str], tuple[float, ...]]:
-    """The `type=` of an option `A,B,..`, one number a range, which gives a tuple. form: what is expected, with an example."""
+def angle(text: str) -> float:
+    """The `type=` of an option that takes an angle in deg, `180` or `3deg`, and gives rad; refuses a bare one that may be rad."""
+    bare = text.strip().removesuffix("deg")
+    value = Number(-360, 360)(bare)
+    if bare == text.strip() and 0 < abs(value) <= TURN[1]:
+        doubt = f"rad, as it was before, would be {math.degrees(value):.4g} deg; if deg is meant, write {bare}deg"
+        raise argparse.ArgumentTypeError(f"got {shown(text)}, expected an angle in deg; {doubt}")
+    return math.radians(value)
+
+
+def angle_text(value: float) -> str:
+    """An angle, rad, as `angle` reads it."""
+    return f"{math.degrees(value):.9g}deg"
+
+
+def numbers(form: str, *kinds: Any) -> Callable[[str], tuple[float, ...]]:
+    """The `type=` of an option `A,B,..`, which gives a tuple. form: what is expected; kinds: of each its bounds or a `type=`."""
 
     def read(text: str) -> tuple[float, ...]:
         parts = text.split(",")
-        if len(parts) != len(ranges):
+        if len(parts) != len(kinds):
             raise argparse.ArgumentTypeError(f"got {shown(text)}, expected {form}")
-        return tuple(Number(*bounds)(part) for bounds, part in zip(ranges, parts, strict=True))
+        return tuple((kind if callable(kind) else Number(*kind))(part) for kind, part in zip(kinds, parts, strict=True))
 
     return read
 
 
+def pose(reach: float) -> Callable[[str], tuple[float, ...]]:
+    """The `type=` of an option X,Y,YAW: within `reach` m, and a heading in deg, which it gives in rad."""
+    return numbers("X,Y,YAW such as 0,0,90 (m, m, deg)", (-reach, reach), (-reach, reach), angle)
+
+
 def flow(fastest: float) -> Callable[[str], tuple[float, ...]]:
-    """The `type=` of an option SPEED,DIRECTION: of a stream up to `fastest` m/s, and where it moves to, rad."""
-    return numbers("SPEED,DIRECTION such as 0.2,3.14 (m/s, rad)", (0, fastest), TURN)
+    """The `type=` of an option M/S,DEG: of a stream up to `fastest` m/s, and where it moves to, which it gives in rad."""
+    return numbers("SPEED,DIRECTION such as 0.2,180 (m/s, deg)", (0, fastest), angle)
 
 
 TURN = (-6.2832, 6.2832)  # rad: a direction in degrees is mostly beyond

@@ -39,7 +39,7 @@ COMMANDS = {
     "loopback": Command(
         "fishmj.deploy.loopback.loopback_command",
         "a robot without a fish, on this computer, faults included",
-        "fishmj deploy loopback --fault loss=0.02 --flow 0.2,3.14",
+        "fishmj deploy loopback --fault loss=0.02 --flow 0.2,180",
     ),
     "track": Command(
         "fishmj.deploy.commands.track_command",

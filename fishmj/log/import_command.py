@@ -84,9 +84,9 @@ def options() -> console.Parser:
     add("--robot", type=console.text, help=robot)
     about = "name of the experiment, such as steps: of every trial, or of one; may be repeated; default: not said"
     add("--excitation", action="append", default=[], metavar="[TRIAL=]NAME", help=about)
-    add("--start", type=_start, metavar="X,Y,YAW", help="where the fish was put [m, m, rad]; default: not said")
-    current = "the water's speed and where it moves to in the camera's frame, m/s and rad; 0,0 is still water; default: not said"
-    add("--flow", type=console.flow(5), metavar="SPEED,DIRECTION", help=current)
+    add("--start", type=_start, metavar="X,Y,DEG", help="where the fish was put [m, m, deg]; default: not said")
+    current = "the water's speed and where it moves to in the camera's frame, m/s and deg; 0,0 is still water; default: not said"
+    add("--flow", type=console.flow(5), metavar="M/S,DEG", help=current)
     point = "the point of the body that the camera tracks, m ahead and to the left of the reference point; default: that point"
     near = console.numbers(tracked_point.FORM, *[(-tracked_point.FARTHEST, tracked_point.FARTHEST)] * 2)
     add("--marker", type=near, metavar="AHEAD,LEFT", help=point)
@@ -193,9 +193,7 @@ def robot_of(text: str, described: Described) -> dict:
 
 
 def _start(text: str) -> list[float]:
-    reach = shipped_bounds().start
-    form = "three numbers x,y,yaw [m, m, rad], such as 0,0,1.57"
-    return [*console.numbers(form, (-reach, reach), (-reach, reach), console.TURN)(text)]
+    return [*console.pose(shipped_bounds().start)(text)]
 
 
 def _bounds(text: str) -> dict[str, float]:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.calib import constant
+from fishmj.base.options import angle_text
 from fishmj.base.store import read_json, write_json
 from fishmj.deploy.commands import swim_command
 from fishmj.deploy.loop.supervisor import SwimState
@@ -41,8 +42,8 @@ def one_swim(loop: Loop, seed: int, arm: str, item: int) -> dict:
         return read_json(kept)
     trained = arm in (UNPATCHED, AFTER)
     policy = str(loop.folder(seed) / f"trained_{arm}") if trained else loop.policy
-    flow = f"{SPEED:g},{trials.direction:g}"
-    start, target = (",".join(f"{value:.6f}" for value in place) for place in (starts[item], targets[item]))
+    flow, (x, y, yaw) = f"{SPEED:g},{angle_text(trials.direction)}", starts[item]
+    start, target = f"{x:.6f},{y:.6f},{angle_text(yaw)}", ",".join(f"{value:.6f}" for value in targets[item])
     hidden = "" if arm == HEALTHY else Fault.of(seed).options()
     words = ["--policy", policy, "--robot", model_of(loop, seed, arm), "--link", "loopback", f"--target={target}"]
     words += ["--flow", flow, "--seconds", f"{loop.seconds:g}", "--out", str(free(out))]

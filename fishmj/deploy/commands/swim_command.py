@@ -56,8 +56,8 @@ def options() -> console.Parser:
     add("--target", type=place, default=HERE, metavar="X,Y", help="where to hold station, m in the tank (default 0,0)")
     add("--seconds", type=console.number(1, 36000), default=30.0, help="how long policy or gait steers")
     add("--out", type=console.out_folder, metavar="FOLDER", help="trial folder, must not exist (default runs/swim-DATE-TIME)")
-    stream = "the stream, m/s and rad, or MAP@SETTING of a flow map and its pump (default: not known)"
-    add("--flow", type=flow, metavar="SPEED,DIRECTION", help=stream)
+    stream = "the stream, m/s and deg, or MAP@SETTING of a flow map and its pump (default: not known)"
+    add("--flow", type=flow, metavar="M/S,DEG", help=stream)
     add("--mcap", action="store_true", help="also write the trial as MCAP beside its folder, for Foxglove")
     add("--ros", type=wiring.address(9090), metavar="HOST[:PORT]", help="publish to a rosbridge while it swims (default: not)")
     return made
@@ -248,7 +248,7 @@ def place(text: str) -> tuple[float, float]:
 
 
 def flow(text: str) -> tuple[float, float]:
-    """Parses `0.2,3.14`: speed, m/s, and direction of flow, rad; or `tank_flow.toml@22.5`, a flow map at a pump setting.
+    """Speed, m/s, and direction, rad, of a stream: `0.2,180` (m/s, deg), or `tank_flow.toml@22.5`, a flow map at a pump setting.
 
     Raises ArgumentTypeError: neither; ConfigError: a map that cannot be read, or a setting outside of it.
     """

@@ -67,8 +67,8 @@ def options() -> console.Parser:
     add("--out", type=console.out_folder, required=True, metavar="FOLDER", help=about)
     mapped = "of fishmj deploy flow-map: the pump's setting for each speed, TI and length scale (default: not known)"
     add("--flow-map", type=console.path, metavar="FILE", help=mapped)
-    moves = "rad, where the water moves to in the tank (default: as the flow map says, else 0, along x)"
-    add("--direction", type=console.number(*console.TURN), metavar="RAD", help=moves)
+    moves = "where the water moves to in the tank (default: as the flow map says, else 0, along x)"
+    add("--direction", type=console.angle, metavar="DEG", help=moves)
     add("--speeds", type=console.Listed(console.number(0, 1)), metavar="M/S,..", help="of the water; default 0.1,0.2,0.3")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
     add("--los", type=los, metavar="DEG,..", help="lines of sight at the start: 0 straight upstream; default 0,45,..,315")
@@ -216,13 +216,14 @@ class Walk:
         args, water = self.args, self.waters.get(place.spec.speed)
         stream = (place.spec.speed, float(self.session.what["direction"]))
         seconds = args.duration or constant("protocol", "duration")
-        start = ",".join(f"{value:.6g}" for value in place.start)
+        x, y, yaw = place.start
         given: Any = Namespace(**{**vars(args), "flow": stream, "target": place.target})
         if args.link == "loopback":
             words = args.loopback or ""
             if "--seed" not in words:  # each trial its own robot, noise and gusts, where the person names no seed
                 words += f" --seed={robot_seed(args.seed, place.name)}"
-            given.loopback = f"{words} --start={start} --flow={stream[0]:.6g},{stream[1]:.6g}"
+            words += f" --start={x:.6g},{y:.6g},{console.angle_text(yaw)}"
+            given.loopback = f"{words} --flow={stream[0]:.6g},{console.angle_text(stream[1])}"
         watched = None if self.watched is None else replace(self.watched, flow=stream)
         with ExitStack() as stack:
             wired = self.wire(given, self.robot, stack)

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from math import degrees, radians
+from math import degrees, inf, radians
 from pathlib import Path
 from typing import Any
 
@@ -104,8 +104,8 @@ def tracker_options(parser: console.Parser) -> None:
     add("--calibration", type=console.path, metavar="FILE", help="of the camera over the tank; needed but with loopback")
     add("--tracker", choices=("tag", "colour"), default="tag", help="AprilTag, or red head and yellow neck")
     tag_options(parser)
-    mount = "its middle in the body frame, m, and the turn of its x axis from the nose, rad"
-    add("--tag-mount", type=numbers, default=(0.06, 0.0, 0.0), metavar="X,Y,YAW", help=mount)
+    mount = "its middle in the body frame, m, and the turn of its x axis from the nose, deg"
+    add("--tag-mount", type=console.pose(1000), default=(0.06, 0.0, 0.0), metavar="X,Y,DEG", help=mount)
     add("--tag-height", type=console.number(-1, 1), default=0.03, help="over the water, m")
     painted = "x:width of the {} paint, m, body frame, from the rear to the front; default as the description's [rig] has it"
     for name in ("red", "yellow"):
@@ -149,19 +149,20 @@ def parsed(made: console.Parser, argv: list[str]) -> Any:
     if ours and hasattr(args, "flow") and (theirs := _loopback_flow(args.loopback)) is not None:
         mine = args.flow = theirs if args.flow is None else args.flow
         if abs(rect(*mine) - rect(*theirs)) > 1e-6:
-            both = f"--flow {mine[0]:g},{mine[1]:g} beside a loopback robot in a stream of {theirs[0]:g},{theirs[1]:g}"
+            stated, its = (f"{speed:g},{degrees(to):g}" for speed, to in (mine, theirs))
+            both = f"--flow {stated} beside a loopback robot in a stream of {its}"
             raise ConfigError(f"{both}: the log would state another stream than the robot's; give --loopback the same --flow")
     return args
 
 
-def _loopback_flow(words: str | None) -> tuple[float, float] | None:
+def _loopback_flow(words: str | None) -> tuple[float, ...] | None:
     """Stream, m/s and rad, of the loopback robot: still water unless its options state another; None: they are wrong."""
     if not words or "--flow" not in words:
         return 0.0, 0.0
-    stated = re.findall(r"--flow[=\s]+['\"]?([-+.\de]+),([-+.\de]+)", words)
+    stated = re.findall(r"--flow[=\s]+['\"]?([-+.,\w]+)", words)
     try:
-        return float(stated[-1][0]), float(stated[-1][1])
-    except (IndexError, ValueError):
+        return console.flow(inf)(stated[-1])
+    except (IndexError, ArgumentTypeError):
         return None
 
 
@@ -251,12 +252,11 @@ def make_camera(text: str, clock: Clock) -> Camera:
 def tracker_words(args: Any, camera: str, fish: Loopback | None, robot: Robot) -> list[str]:
     """Command line of the process of camera and tracker, with their options."""
     paint, height = paint_of(args, robot) if args.tracker == "colour" else (PAPER_FISH, 0.0)
-    several = lambda values: ",".join(map(repr, values))
-    pairs = lambda values: ",".join(f"{x!r}:{width!r}" for x, width in values)
+    pairs, (x, y, yaw) = lambda values: ",".join(f"{x!r}:{width!r}" for x, width in values), args.tag_mount
     given = {
         "camera": camera, "calibration": fish.calibration if args.calibration is None and fish else args.calibration,
         "tracker": args.tracker, "tag-family": args.tag_family, "tag-number": args.tag_number, "tag-size": repr(args.tag_size),
-        "tag-mount": several(args.tag_mount), "tag-height": repr(args.tag_height), "red": pairs(paint.head),
+        "tag-mount": f"{x!r},{y!r},{console.angle_text(yaw)}", "tag-height": repr(args.tag_height), "red": pairs(paint.head),
         "yellow": pairs(paint.neck), "paint-height": repr(height), "parent": os.getpid(),
     }  # fmt: skip
     words = [sys.executable, "-m", "fishmj.deploy.camera.tracker_process"]
@@ -314,10 +314,7 @@ def make_tracker(args: Any, calibration: Calibration, robot: "str | Robot" = "fi
         return ColourTracker(calibration, *paint_of(args, robot))
     from fishmj.deploy.tracker.apriltag import AprilTagTracker
 
-    mount = tuple(args.tag_mount)
-    if len(mount) != 3:
-        raise ConfigError(f"--tag-mount: {len(mount)} numbers; expected X,Y,YAW")
-    return AprilTagTracker(calibration, args.tag_family, args.tag_size, mount, args.tag_number, args.tag_height)
+    return AprilTagTracker(calibration, args.tag_family, args.tag_size, args.tag_mount, args.tag_number, args.tag_height)
 
 
 def _loopback(args: Any, robot: Robot, stack: ExitStack) -> Loopback:

@@ -15,7 +15,7 @@ from fishmj.water.flow import PRESETS, Flow
 
 FASTEST, FAR = 1.0, 10.0  # m/s, m
 EXAMPLES = """examples:
-  fishmj deploy loopback --seed 3 --flow 0.2,3.14 --marks tag
+  fishmj deploy loopback --seed 3 --flow 0.2,180 --marks tag
   fishmj deploy loopback --fault loss=0.02 --fault brown_out@30 --effect command_latency:delay=0.15
   fishmj deploy loopback --protocol mish-0.1.0 --no-camera
 
@@ -36,11 +36,10 @@ def options() -> console.Parser:
     add("--effect", type=console.text, action="append", default=[], metavar="NAME[:p=v]", help=effect)
     add("--fault", type=console.text, action="append", default=[], metavar="FAULT", help=fault)
     robot("seed", "noise", "nuisance")
-    start = "x, y [m] and yaw [rad] at the start"
-    place = console.numbers("X,Y,YAW such as 0,0,1.57 (m, m, rad)", (-FAR, FAR), (-FAR, FAR), console.TURN)
-    add("--start", type=place, default="0,0,0", metavar="X,Y,YAW", help=start)
-    flow = "stream, m/s and where it moves to, rad"
-    add("--flow", type=console.flow(FASTEST), default="0,0", metavar="SPEED,DIRECTION", help=flow)
+    start = "x, y [m] and yaw [deg] at the start"
+    add("--start", type=console.pose(FAR), default="0,0,0", metavar="X,Y,DEG", help=start)
+    flow = "stream, m/s and where it moves to, deg"
+    add("--flow", type=console.flow(FASTEST), default="0,0", metavar="M/S,DEG", help=flow)
     add("--turbulence", choices=PRESETS, default="none", help="of the stream; the second robot takes none and gust")
     server("port", "host_port")
     robot("delay")

@@ -52,7 +52,7 @@ def options() -> console.Parser:
     add("--yes", action="store_true", help="ask nobody: only with --link loopback, whose fish is put in place")
     at_the_tank = "arm a robot without a watchdog: a person stands there, a hand on its switch"
     add("--i-am-at-the-tank", action="store_true", help=at_the_tank)
-    add("--flow", type=flow, metavar="SPEED,DIRECTION", help="the stream, m/s and rad (default: not known)")
+    add("--flow", type=flow, metavar="M/S,DEG", help="the stream, m/s and deg (default: not known)")
     add("--notes", type=console.text, metavar="TEXT", help="a sentence for every meta.toml (default none)")
     wiring.link_options(made)
     wiring.camera_options(made)
@@ -145,8 +145,9 @@ def _played(
     """
     given: Any = args
     if args.link == "loopback":
-        place = ",".join(f"{value:.6g}" for value in run.what.start)
-        given = Namespace(**{**vars(args), "loopback": f"{args.loopback or ''} --start={place}"})
+        x, y, yaw = run.what.start
+        start = f"--start={x:.6g},{y:.6g},{console.angle_text(yaw)}"
+        given = Namespace(**{**vars(args), "loopback": f"{args.loopback or ''} {start}"})
     if not args.yes:
         person.ready(placing(run.what) if args.medium == "water" else "hang the fish by its head, clear of everything")
     with ExitStack() as stack:

@@ -67,8 +67,8 @@ def main(argv: list[str]) -> int:
     add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
     air = "--generator independent: in water, or hung on a thread in air, without a camera (default water)"
     add("--medium", default=trials.MEDIA[0], choices=trials.MEDIA, help=air)
-    ordered = "--generator independent: ordered stream, m/s and rad (default 0,0)"
-    add("--flow", type=console.flow(FASTEST), default=(0.0, 0.0), metavar="SPEED,DIRECTION", help=ordered)
+    ordered = "--generator independent: ordered stream, m/s and deg (default 0,0)"
+    add("--flow", type=console.flow(FASTEST), default=(0.0, 0.0), metavar="M/S,DEG", help=ordered)
     add("--domain", type=console.text, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
     add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
     add("--tanks", type=console.whole(1, 64), default=1, metavar="N", help="--generator lbm: trials side by side (default 1)")
