@@ -298,6 +298,33 @@ def test_code_that_could_run_a_file_is_found():
     assert not unsafe("import json\nnp.load(f, allow_pickle=False)\nmodel.eval()")
 
 
+COMMAND = re.compile(r"(fishmj [a-z_]+|python -m [\w.]+)( [^;:,`(]*)? $|with --[a-z-]+ $")  # of text before a value
+PATH = re.compile(r"\bargs\.(data|fish|healthy|model|out|write_map)|path|folder|\bout\b|\bhome\b")  # of a value
+
+
+def unquoted_paths(source: str) -> list[str]:
+    """Values of f-strings that are paths, stand within a command to copy, and are not quoted for the shell."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        text = ""
+        for value in node.values if isinstance(node, ast.JoinedStr) else ():
+            if isinstance(value, ast.FormattedValue):
+                said = ast.unparse(value.value)
+                found += [said] if COMMAND.search(text) and PATH.search(said) and "shlex." not in said else []
+            text += str(value.value) if isinstance(value, ast.Constant) else "X"
+    return found
+
+
+def test_commands_to_copy_quote_their_paths():
+    modules = sorted((ROOT / "fishmj").rglob("*.py"))
+    assert {path.name: found for path in modules if (found := unquoted_paths(path.read_text(encoding="utf-8")))} == {}
+
+
+def test_an_unquoted_path_in_a_command_is_found():
+    bad = """f"{path}: stale; make it again with fishmj gap check {path} --data {args.data or 'DATA'}" """
+    assert unquoted_paths(bad) == ["path", "args.data or 'DATA'"]
+
+
 def test_import_fishmj_loads_numpy_at_most():
     code = "import sys; before = set(sys.modules); import fishmj; print(*(set(sys.modules) - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)

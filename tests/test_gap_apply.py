@@ -227,11 +227,13 @@ def test_an_independent_robot_hides_what_was_asked(data):
 
 def test_gap_apply_speaks_of_what_it_wrote(data, tmp_path, capsys):
     folder = report(tmp_path / "r", data, torque=PLANTED)
-    code, out, _ = command(capsys, "apply", folder, "--out", tmp_path / "mine.toml")
-    assert code == 0 and "frictionloss" in out and "mine.toml" in out
-    assert (tmp_path / "mine.diff").read_text().startswith("--- parent.xml")
-    code, out, _ = command(capsys, "apply", "--revert", tmp_path / "mine.toml")
-    assert code == 0 and (tmp_path / "mine.toml").read_bytes() == resolve("fish").read_bytes()
+    mine = tmp_path / "my fish" / "mine.toml"
+    mine.parent.mkdir()
+    code, out, _ = command(capsys, "apply", folder, "--out", mine)
+    assert code == 0 and "frictionloss" in out and f"check it any time: fishmj gap check '{mine}' --data DATA" in out
+    assert mine.with_suffix(".diff").read_text().startswith("--- parent.xml")
+    code, out, _ = command(capsys, "apply", "--revert", mine)
+    assert code == 0 and mine.read_bytes() == resolve("fish").read_bytes()
 
 
 @pytest.mark.parametrize("inside", [False, True])

@@ -72,8 +72,9 @@ def test_healthy_swims_say_nothing_of_a_water_of_literature_values():
 
 
 def test_swims_of_a_water_that_was_not_calibrated_are_refused(tmp_path):
-    with pytest.raises(ConfigError, match="the water of fish was not calibrated; fishmj calibrate water"):
-        find.swims(type("Args", (), {"healthy": tmp_path, "model": "fish"}), load_robot("fish"))
+    healthy = tmp_path / "healthy swims"
+    with pytest.raises(ConfigError, match=f"the water of fish was not calibrated; fishmj calibrate water '{healthy}' calibrates"):
+        find.swims(type("Args", (), {"healthy": healthy, "model": "fish"}), load_robot("fish"))
     assert find.swims(type("Args", (), {"healthy": None}), load_robot("fish")) == []
 
 

@@ -1,5 +1,6 @@
 """Refit a fish's water to the flow solver: collect what is missing, fit, check on held-out episodes, report."""
 
+import shlex
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -318,7 +319,7 @@ def chosen(robot: Robot, args) -> HydroModel:
     place = next((path for path in places if path.is_file()), places[0])
     if not args.model and not place.is_file():
         raise StoreError(
-            f"{place}: no fitted water for {robot.name!r} yet; fit it: python -m fishmj.hydro_fit fit --fish {args.fish}"
+            f"{place}: no fitted water for {robot.name!r} yet; fit it: fishmj hydro_fit fit --fish {shlex.quote(args.fish)}"
         )
     if not args.model and place != places[0]:
         console.say(f"no fitted water in {places[0].parent}: using the shipped {place}")

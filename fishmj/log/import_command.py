@@ -396,7 +396,9 @@ def _write_map(args: Namespace, found: ImportResult) -> None:
         args.write_map,
         written(found.maps[0]) + "".join(line for kinds, made in found.guesses for line in guessed.remarks(kinds, made)),
     )
-    console.say(f"map written to {args.write_map}: read it, mend it, and import with --columns {args.write_map}")
+    console.say(
+        f"map written to {args.write_map}: read it, mend it, and import with --columns {shlex.quote(str(args.write_map))}"
+    )
 
 
 def _write(

@@ -1,5 +1,6 @@
 """`fishmj deploy experiment`: plays named excitations on the robot, three repeats, into a data set for calibration and search."""
 
+import shlex
 from argparse import Namespace
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -124,10 +125,10 @@ def collect(out: Path, done: dict[str, Trial], model: str) -> list[str]:
     Manifest.of(out / CUT, {"source": "fishmj deploy experiment"}).write(out / CUT)
     seconds = sum(trial.span[1] for trial in done.values())
     bench = any(t.value("excitation") in SESSIONS["calibrate"] for t in done.values())
-    servo = f"calibrate servo --data {out / CUT} --model {model} --out {out / 'calibrated.toml'}"
-    search = f"gap find {out / CUT} --model {model} --out {out / 'report'}"
+    servo = ["calibrate", "servo", "--data", out / CUT, "--model", model, "--out", out / "calibrated.toml"]
+    search = ["gap", "find", out / CUT, "--model", model, "--out", out / "report"]
     more = "a search fits one trial and judges another: record more, --repeats 2 or a session"
-    after = more if len(done) < 2 and not bench else f"fishmj {servo if bench else search}"
+    after = more if len(done) < 2 and not bench else shlex.join(["fishmj", *map(str, servo if bench else search)])
     return [f"{len(done)} trials, {seconds:.0f} s in {out / CUT}", f"next: {after}"]
 
 

@@ -5,6 +5,7 @@ counts them as updates, so the ratio is the part of the copy bandwidth that the 
 """
 
 import os
+import shlex
 import subprocess
 import tempfile
 import threading
@@ -257,7 +258,7 @@ def peer_interpreter() -> Path:
     home = cache_folder() / "xlb"
     python = Path(chosen) if chosen else home / "bin" / "python"
     if not python.is_file():
-        make = f"python -m venv {home} && {home}/bin/pip install {' '.join(PEER)}"
+        make = f"{shlex.join(['python', '-m', 'venv', str(home)])} && {shlex.join([str(home / 'bin' / 'pip'), 'install', *PEER])}"
         raise NotHere(f"XLB: no interpreter at {python}; {make}")
     return python
 

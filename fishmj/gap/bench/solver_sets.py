@@ -9,6 +9,7 @@ second robot's and the structural error comes from other waters.
 
 import hashlib
 import json
+import shlex
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,9 +49,8 @@ def robots(folder: Path, kinds, many: int | None = None) -> list[BenchRobot]:
             out.append(BenchRobot(one.id, plans.SOLVER, one.model != SHIPPED, one.seed, mine))
         left -= len(mine)
     if not out:
-        raise ConfigError(
-            f"gap bench: --sets {folder}: no data set is complete; python -m studies.solver_family --out {folder} goes on"
-        )
+        again = shlex.join(["python", "-m", "studies.solver_family", "--out", str(folder)])
+        raise ConfigError(f"gap bench: --sets {folder}: no data set is complete; {again} goes on")
     return out
 
 

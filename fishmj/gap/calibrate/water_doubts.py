@@ -1,5 +1,6 @@
 """Doubts about a calibrated water, for the last lines of `calibrate water`: untold numbers, numbers taken as described."""
 
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -33,7 +34,7 @@ def unmeasured(model: str, out: Path | None = None) -> list[str]:
         return []
     line = f"relied on {', '.join(lacking)} as described: no calibration block of {model} states them"
     if out and out.is_file() and len(_unstated(out)) < len(lacking):
-        return [f"{line}, but {out} does: fit again with --model {out}"]
+        return [f"{line}, but {out} does: fit again with --model {shlex.quote(str(out))}"]
     return [f"{line}; run calibrate servo and latency first, and give their file as --model"]
 
 

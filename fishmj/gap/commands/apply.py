@@ -12,6 +12,7 @@ each; gap check judges it. MuJoCo writes it anew where the text cannot hold them
 """
 
 import hashlib
+import shlex
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
@@ -86,10 +87,10 @@ def main(argv: list[str]) -> int:
         console.say(written.mjcf.rstrip("\n"))
     if written.hooks:
         console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
-    if written.accepted and verdict:
-        console.say(f"compare it with its parent: fishmj gap check {written.path} --data {args.data or 'LOGS'}")
-    elif written.accepted:
-        console.say(f"check it any time: python -m fishmj.gap check {written.path} --data {args.data or 'DATA'}")
+    if written.accepted:
+        data = args.data or ("LOGS" if verdict else "DATA")
+        check = shlex.join(["fishmj", "gap", "check", str(written.path), "--data", str(data)])
+        console.say(f"compare it with its parent: {check}" if verdict else f"check it any time: {check}")
     if args.json:
         console.emit_json(written._asdict())
     return console.OK if written.accepted or written.path is None else console.FAILED_CHECK

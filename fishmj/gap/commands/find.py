@@ -10,6 +10,7 @@ MAP.toml of --columns, for such a robot: time = "t"; [joint] elbow = { column = 
 Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet, or a gap too large for any effect.
 """
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -115,7 +116,8 @@ def swims(args, robot: Robot) -> list[Trial]:
     if args.healthy is None:
         return []
     if robot.water.get("model") != STRUCTURED:
-        why = f"the water of {args.model} was not calibrated; fishmj calibrate water {args.healthy} calibrates it to these swims"
+        todo = shlex.join(["fishmj", "calibrate", "water", str(args.healthy)])
+        why = f"the water of {args.model} was not calibrated; {todo} calibrates it to these swims"
         raise ConfigError(f"gap find: --healthy {args.healthy}: {why}")
     return list(admission.admitted(args.healthy, robot, args.model, args.same_robot)[0].trials.values())
 

@@ -1,6 +1,7 @@
 """Folder of the measured data, named by FISHMJ_MEASURED."""
 
 import os
+import shlex
 from pathlib import Path
 
 from fishmj.base.errors import LogError
@@ -20,6 +21,6 @@ def trials(name: str) -> dict[str, Trial]:
     folder = Path(root) / name
     if not folder.is_dir():
         raise LogError(
-            f"{folder}: no such folder ({VARIABLE}={root}); get it with python -m fishmj.gap fetch {name} --out {folder}"
+            f"{folder}: no such folder ({VARIABLE}={root}); get it with fishmj gap fetch {name} --out {shlex.quote(str(folder))}"
         )
     return importers.read(folder)

@@ -16,7 +16,7 @@ from fishmj.log.importers.column_units import SI, measures
 from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.joint_names import STATE
 from fishmj.log.importers.sheet import DATE, Sheet
-from fishmj.log.limits import bare, quoted
+from fishmj.log.limits import bare, quoted, typed
 from fishmj.log.trial import table_spec
 
 PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6)}  # places of a second column of the stamp; in a second
@@ -396,7 +396,7 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             elif not said or len(said) > 1:
                 others = ", ".join(quoted(out[o].column) for o in mine if o != i)
                 there = next((bare(found[out[o].kind].sheets[0].name) for o in mine if out[o].kind != out[i].kind), "")
-                way = f" Leave a whole file or topic out with --set {there}=skip" if there else ""
+                way = f" Leave a whole file or topic out with --set {typed(there)}=skip" if there else ""
                 out[i] = out[i].unclear(f"{place} is also {others}{f' of {there}' if there else ''}: which?{way}")
     return out
 

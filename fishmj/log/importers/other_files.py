@@ -1,5 +1,6 @@
 """Unreadable files of a laboratory: the kind of each, and the way to convert it to a readable one."""
 
+import shlex
 import zipfile
 from pathlib import Path
 
@@ -97,4 +98,4 @@ def _is_workbook(path: Path) -> bool:
 def advice(path: Path, kind: str) -> str:
     """One clause: the kind of a file, and what to do."""
     what, remedy = KINDS[kind]
-    return f"{what}, which is not read; {remedy.format(name=path.name, stem=path.stem)}"
+    return f"{what}, which is not read; {remedy.format(name=shlex.quote(path.name), stem=shlex.quote(path.stem))}"

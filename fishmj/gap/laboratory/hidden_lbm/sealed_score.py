@@ -1,5 +1,6 @@
 """Opens the seal: fitted numbers against the hidden ones. No fit imports this; `calibrate score` calls it."""
 
+import shlex
 from pathlib import Path
 
 from fishmj.base import console
@@ -32,7 +33,9 @@ def score(folder: Path, model: str) -> list[dict]:
     fitted = {name: e for block in read_toml(resolve(model)).get("calibration", {}).values() for name, e in block.items()}
     rows = [_row(name, fitted[name], true) for name, true in values.items() if isinstance(fitted.get(name), dict)]
     if not rows:
-        raise ConfigError(f"{model}: no [calibration] blocks; run calibrate servo, latency, slip, mass with --out {model} first")
+        raise ConfigError(
+            f"{model}: no [calibration]; run calibrate servo, latency, slip, mass with --out {shlex.quote(model)} first"
+        )
     return rows
 
 
