@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from absent import absent
 
-from fishmj.base import console
+from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError, MissingExtra, StoreError
 from fishmj.deploy.__main__ import COMMANDS, main
 from fishmj.deploy.commands import swim_command
@@ -24,7 +24,8 @@ from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.loop import wiring
 from fishmj.deploy.loop.clock import MonotonicClock
 from fishmj.deploy.loop.open_loop_experiment import SineGait
-from fishmj.deploy.loop.supervisor import SwimState
+from fishmj.deploy.loop.supervisor import NONE, Condition, SwimState
+from fishmj.deploy.loop.swim_loop import SwimOutcome
 from fishmj.deploy.loopback import lockstep_wiring
 from fishmj.deploy.loopback.camera_frames import FishLook
 from fishmj.deploy.tracker.calibration import overhead
@@ -83,6 +84,19 @@ def test_a_bad_command_line_is_one_line_and_exit_code_2(words, capsys, tmp_path,
     said = capsys.readouterr().err.strip().splitlines()
     assert BAD[words] in said[-1]
     assert not (tmp_path / "swim").exists()
+
+
+@pytest.mark.parametrize("cause", [Condition.OPERATOR_STOP, NONE])
+def test_an_interrupted_swim_says_so_before_its_end(cause, monkeypatch, tmp_path):
+    said: list[str] = []
+    for say in ("say", "warn"):
+        monkeypatch.setattr(console, say, lambda *lines: said.extend(lines))
+    ended = SwimOutcome(cause=cause, refused=("no pose",), swum=3.0, figures={})
+    monkeypatch.setattr(swim_command, "_swum", lambda *_: ended)
+    monkeypatch.setattr(interrupt, "asked", lambda: True)
+    assert swim_command.main(["--policy", "station", "--out", str(tmp_path / "a")]) == console.INTERRUPTED
+    kept = f"what was swum is in {tmp_path / 'a'}" if cause else "nothing was swum"
+    assert said[-2:-1] == [f"interrupted; {kept}; another swim needs another --out"] and ended.words in said[-1]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

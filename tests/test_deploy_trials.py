@@ -23,7 +23,7 @@ from fishmj.deploy.loop.swim_loop import SwimOutcome
 from fishmj.deploy.rig import rig_prompt
 from fishmj.deploy.trials import trials_tables
 from fishmj.deploy.trials.schedule import Session, counts, cut, name_of, order, stream_direction, waters_of
-from fishmj.evaluate import metrics, protocol
+from fishmj.evaluate import metrics, protocol, trial_report
 from fishmj.evaluate.trial_report import trials_csv
 from fishmj.log import Trial, read_trial, write_trial
 from fishmj.mjcf.reading import load_robot
@@ -377,7 +377,24 @@ def test_each_trial_has_a_loopback_robot_of_its_own_unless_a_seed_is_named(tmp_p
             session.skip("u0.1_los000_r0", "the next one")
         for trial, seed in zip(given, seeds, strict=True):
             assert [w for w in trial if w.startswith("--seed")] == (["--seed"] if k == 1 else [seed])
-        assert given[0][-1] == "--flow=0.1,0" and given[0][-2].startswith("--start=0.7,")
+        assert given[0][-1] == "--flow=0.1,0deg" and given[0][-2].startswith("--start=0.7,")
+
+
+def test_interrupted_trials_say_what_is_kept_and_how_to_go_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(trials_command.Walk, "through", lambda walk: walk.stop.set())
+    assert trials_command.main([*WORDS, "--out", str(tmp_path / "s")]) == console.INTERRUPTED
+    kept = f"interrupted; 0 trials are in {tmp_path / 's' / 'trials'}; go on with"
+    assert kept in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_replay_of_the_worst_trial_names_an_own_robot(monkeypatch):
+    place = SimpleNamespace(spec="a", name="u0.1_los000_r0")
+    monkeypatch.setattr(trial_report, "worst", lambda result: 0)
+    said = lambda robot: trials_tables.worst_replay(
+        Path("my s"), SimpleNamespace(trials=SimpleNamespace(items=["a"])), [place], robot
+    )
+    assert said("fish") == "fishmj replay 'my s/trials/u0.1_los000_r0'"
+    assert said("my fish.toml") == said("fish") + " --robot 'my fish.toml'"
 
 
 @pytest.mark.slow
@@ -428,7 +445,9 @@ def test_lockstep_trials_write_tables_and_compare_with_another_water(tmp_path, c
 
 
 def test_a_direction_beyond_a_turn_is_refused_where_it_is_typed(capsys):
-    low, high = protocol.LIMITS["direction"]
-    assert trials_command.options().parse_args([*WORDS, "--out", "s", f"--direction={high}"]).direction == high
-    with pytest.raises(UsageError, match=f"expected a number from {low} to {high}"):
-        trials_command.options().parse_args([*WORDS, "--out", "s", "--direction", "6.5"])
+    asked = lambda text: trials_command.options().parse_args([*WORDS, "--out", "s", "--direction", text]).direction
+    assert asked("360") <= protocol.LIMITS["direction"][1] and asked("-90") == -np.pi / 2
+    with pytest.raises(UsageError, match="expected a number from -360 to 360"):
+        asked("361")
+    with pytest.raises(UsageError, match="rad, as it was before, would be 90 deg; if deg is meant, write 1.5708deg"):
+        asked("1.5708")

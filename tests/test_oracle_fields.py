@@ -130,7 +130,8 @@ def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, mo
     out, folder = tmp_path / "trial", tmp_path / "fields"
     keep = ["--out", str(out), "--save", str(tmp_path / "end.safetensors"), "--fields", str(folder), "--every", "0.04"]
     assert swim.main([*CPU, "--seconds", "4", *keep]) == console.INTERRUPTED
-    assert "everything before is kept: interrupted" in capsys.readouterr().err
+    kept, state = f"the trial until then is in {out}", f"go on with --start {tmp_path / 'end.safetensors'}"
+    assert re.search(rf"interrupted after [\d.]+ s; {kept}; {state}\n", capsys.readouterr().err)
     trial = read_trial(out)
     assert trial.value("oracle.stopped") == "interrupted" and len(trial.table("truth")["t"]) == 8  # the tick was finished
     assert [read_slice(path).t for path in slices_in(folder)] == pytest.approx([0, 0.04, 0.08, 0.12])

@@ -5,6 +5,7 @@ import math
 import re
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +21,13 @@ from fishmj.control.learned import body_of
 from fishmj.control.policy import Policy
 from fishmj.control.policy_meta import fit
 from fishmj.tasks.env import Options, StationHold
-from fishmj.train.__main__ import judging, options, settings_from
+from fishmj.train.__main__ import judging, options, report, settings_from
 from fishmj.train.begin import SIGMA, begin_with
 from fishmj.train.build import config_of, environment, policy_of, robot_for, settled
 from fishmj.train.hyperparameters import PPOConfig, SACConfig, declared
 from fishmj.train.learner import PolicyLayers, episode_metrics, record_of, reported
 from fishmj.train.networks import ACTIVATIONS, mlp
+from fishmj.train.planned_runs import PlannedRun
 from fishmj.train.settings import ALGORITHMS, as_dict, change, from_dict, hyperparameters, of_run, preset, told
 from fishmj.train.training_run import arrays_of, export, programs, tree_of, write_settings
 
@@ -266,6 +268,18 @@ def test_metrics_of_learners_have_episodes_and_older_checkpoints_go_on(algo):
     older = {name: a for name, a in arrays_of(state).items() if not name.startswith(".tally")}
     again = tree_of(older, learner.init(jax.random.key(2)))
     assert not np.asarray(again.tally.whole).any()
+
+
+def test_an_interrupted_training_says_so_before_its_summary(monkeypatch):
+    said: list[str] = []
+    for say in ("say", "warn"):
+        monkeypatch.setattr(console, say, lambda *lines: said.extend(lines))
+    result = {"folder": "runs/a b", "policy": "p", "algorithm": "ppo", "engine": "planar", "steps": 10, "seconds": 61.0}
+    args = SimpleNamespace(resume=True, together=False, devices=1, sweep=None, seeds=None, json=False)
+    runs = [PlannedRun(preset("quick"), Path("runs/a b"), None, "")]
+    assert report(args, [], runs, [result | {"stopped": True}]) == console.INTERRUPTED
+    assert said[0].startswith("interrupted; runs/a b holds the run up to step 10; go on with: fishmj train --resume --out 'runs/")
+    assert "stopped after 10 control steps in 1 min 01 s in all (compiling iterations included) on planar" in said[1]
 
 
 def test_the_command_that_judges_says_what_differs_from_the_robots_own_timing():

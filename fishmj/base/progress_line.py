@@ -57,6 +57,10 @@ class Progress:
         if self._live and self._width:
             terminal.put("", self._stream)
 
+    def restart(self) -> None:
+        """Counts the time from now on."""
+        self._start = self._clock()
+
     @property
     def elapsed(self) -> float:
         """Seconds since the start."""

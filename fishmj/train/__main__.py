@@ -436,11 +436,21 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
     from fishmj.base.store import write_json
     from fishmj.train.training_run import go_on
 
+    if stopped := bool(results and results[-1]["stopped"]):
+        last, settings = results[-1], runs[len(results) - 1].settings
+        more = go_on(last["folder"], last["steps"], settings, args.devices)
+        if args.together:
+            more = f"the policies so far are in {Path(last['folder']).parent}; --together cannot go on"
+        elif len(runs) > 1:
+            words = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
+            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(words)}"
+        console.warn(f"interrupted; {more}")
     for run, r in zip(runs, results, strict=False):
         if "failed" in r:
             console.warn(f"{run.name}: {r['failed']}")
             continue
         took, judged = console.duration(r["seconds"]), "not yet judged on the tuning flows"
+        took += f" {'in all ' if args.resume else ''}(compiling iterations included)"
         if "tune_arrival" in r:
             held = f"RMSE of the last 10 s {r['tune_rmse_last10']:.3f} m"
             judged = f"tuning flows: arrival {r['tune_arrival']:.1%}, {held}"
@@ -468,16 +478,7 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
             console.say("", f"best on the tuning flows: {best['point']}; {again} {shlex.join(names)}")
     if args.json:
         console.emit_json(result)
-    if results and results[-1]["stopped"]:
-        last = results[-1]
-        settings = runs[len(results) - 1].settings
-        more = "--together cannot go on" if args.together else go_on(last["folder"], last["steps"], settings, args.devices)
-        if len(runs) > 1 and not args.together:
-            words = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
-            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(words)}"
-        console.warn(f"interrupted; {more}")
-        return console.INTERRUPTED
-    return console.FAILED_CHECK if any("failed" in r for r in results) else console.OK
+    return console.INTERRUPTED if stopped else console.FAILED_CHECK if any("failed" in r for r in results) else console.OK
 
 
 if __name__ == "__main__":

@@ -32,12 +32,11 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
     """Trains one policy for each seed side by side; returns the summaries of `TrainingRun.go`; command as there."""
     settings = settled(settings)
     _, learner, assess = learner_of(settings)
-    start = time.monotonic()
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
     iterate = jax.jit(jax.vmap(learner.iterate), donate_argnums=0)
     look = jax.jit(jax.vmap(assess, in_axes=(0, None)))
     lanes = [Lane(change(settings, seed=seed), folder / f"seed-{seed}", learner.policy_layers, command) for seed in seeds]
-    bar = console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
+    start, bar = time.monotonic(), console.Progress(settings.steps, f"train {len(seeds)} seeds", "steps")
     bar.stage("compiling the first iteration")
     done, episodes, dropped = 0, 0.0, 0.0
     next_look = settings.assess_every
@@ -56,13 +55,13 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
             seconds = round(time.monotonic() - start, 3)
             for i, lane in enumerate(lanes):
                 lane.board.write(done, {**reported({k: v[i] for k, v in table.items()}), "seconds": seconds})
-            bar.update(done, reward=float(table["reward"].mean()), distance=float(table["late_distance"].mean()))
             if done >= next_look or done >= settings.steps:
                 next_look += settings.assess_every
                 judged = {k: np.asarray(v, float) for k, v in look(training.actor, jax.random.key(20_000)).items()}
                 for i, lane in enumerate(lanes):
                     figures = {k: round(float(v[i]), 5) for k, v in judged.items()}
                     lane.judge(figures, training.actor, i, done)
+            bar.update(done, reward=float(table["reward"].mean()), distance=float(table["late_distance"].mean()))
     for i, lane in enumerate(lanes):
         lane.export("last", training.actor, i, done)
     seconds = time.monotonic() - start

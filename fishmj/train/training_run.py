@@ -264,6 +264,7 @@ class TrainingRun:
         """Trains to the end, until `stop_when` holds, or to Ctrl-C; the summary states if Ctrl-C ended it."""
         s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
+        self.bar.restart()  # what it says at the end is the summary's time
         if self.done >= s.steps:
             console.warn(f"{self.folder} has {self.done:,} control steps of {s.steps:,}: nothing is trained; more with --steps")
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
@@ -280,10 +281,10 @@ class TrainingRun:
                 self._check(figures)
                 self._under_way = False
                 write(board.write, self.done, {**figures, "seconds": round(self.seconds, 3)})
-                if not self.quiet:
-                    bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
                 if self._assessment_is_due():
                     self._judge(board, write)
+                if not self.quiet:
+                    bar.update(self.done, reward=figures["reward"], distance=figures["late_distance"])
                 if time.monotonic() - saved > s.checkpoint_every:
                     write(self._save)
                     saved = time.monotonic()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.base import console
+from fishmj.base import console, interrupt
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UsageError
 from fishmj.base.source import made_by
@@ -99,7 +99,10 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
     watched = watched_of(args, robot, args.flow, args.seconds)
     with undisturbed():
         outcome = _swum(args, robot, controller, pilot, out, wire or wiring.wire, watched)
-    if not outcome.cause and outcome.refused:
+    if stopped := interrupt.asked():
+        kept = f"what was swum is in {out}" if outcome.cause else "nothing was swum"
+        console.warn(f"interrupted; {kept}; another swim needs another --out")
+    elif not outcome.cause and outcome.refused:
         raise ConfigError(f"swim: {outcome.words}")
     mcap = write_mcap(out, robot) if args.mcap and outcome.cause else None
     console.say(f"{outcome.words}; log in {out}" + (f", {mcap}" if mcap else "") if outcome.cause else outcome.words)
@@ -112,6 +115,8 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
             "out": out,
         }
         console.emit_json({**result, "mcap": mcap, "figures": outcome.figures})
+    if stopped:
+        return console.INTERRUPTED
     return console.OK if outcome.complete and outcome.released is not False else console.FAILED_CHECK
 
 

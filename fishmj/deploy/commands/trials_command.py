@@ -117,8 +117,8 @@ def main(argv: list[str], in_step: Wire | None = None) -> int:
         walk = Walk(args, robot, controller, waters, session, places, in_step)
         walk.through()
         if walk.stop.is_set():
-            console.say(interrupt.again("go on"))
-            return console.FAILED_CHECK
+            console.warn(f"interrupted; {walk.kept()}")
+            return console.INTERRUPTED
     return tables(args, robot, controller, trials_tables.measured_trials(trials, waters), session, places)
 
 
@@ -150,11 +150,12 @@ class Walk:
             for number, place in enumerate(left):
                 if self.stop.is_set():
                     return
-                with interrupt.keeping(self._kept):
+                with interrupt.keeping(self.kept):
                     bar.update(number, next=place.name)
                     self._one(place)
 
-    def _kept(self) -> str:
+    def kept(self) -> str:
+        """Text of what is kept, and the command that goes on."""
         return f"{len(self.session.accepted)} trials are in {self.session.folder / KEPT}; {interrupt.again('go on')}"
 
     def _one(self, place: Place) -> None:
@@ -247,7 +248,7 @@ class Walk:
                 stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, process=self.monitor))
             plan = SwimPlan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = SwimLoop(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
-            with undisturbed(), steering(link, clock, self.stop, self._kept):
+            with undisturbed(), steering(link, clock, self.stop, self.kept):
                 return swim.run()
 
 

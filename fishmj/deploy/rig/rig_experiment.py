@@ -98,11 +98,12 @@ def main(argv: list[str], wire: Wire | None = None) -> int:
             console.say(why)  # whether the torque is off, before anybody reaches into the water
             write_trial(cut / run.name, trial)
             done[run.name] = trial
-    result = collect(args.out, done, args.robot)
-    console.say(*result, *([interrupt.again("go on")] if stop.is_set() else []))
+    if stop.is_set():
+        console.warn(f"interrupted; {kept()}")
+    console.say(*collect(args.out, done, args.robot))
     if args.json:
         console.emit_json({"trials": sorted(done), "unplayed": unplayed, "torque_not_off": held, "data": cut})
-    return console.FAILED_CHECK if unplayed or held else console.OK
+    return console.INTERRUPTED if stop.is_set() else console.FAILED_CHECK if unplayed or held else console.OK
 
 
 def finished(folder: Path) -> dict[str, Trial]:

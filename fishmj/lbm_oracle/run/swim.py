@@ -7,6 +7,7 @@ python -m fishmj.lbm_oracle swim --preset laptop --out runs/a --fields runs/a_fi
 Ctrl-C ends the run after the tick that is under way; trial, state and fields up to then are kept.
 """
 
+import shlex
 import time
 from dataclasses import replace
 from math import degrees, radians
@@ -56,6 +57,10 @@ def main(argv: list[str]) -> int:
     recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
     with interrupt.finishing(lambda: _interrupt_message(args, run)):
         wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
+    if run.stopped == INTERRUPTED:
+        kept_in = f"the trial until then is in {args.out}" if args.out else "no trial is kept without --out FOLDER"
+        again = f"go on with --start {shlex.quote(str(args.save))}" if args.save else "with --save FILE, --start FILE goes on"
+        console.warn(f"{INTERRUPTED} after {run.time:.2f} s; {kept_in}; {again}")
     found = figures(run, gait.frequency) | {"wall_s": wall, "real_time": run.time / wall, "stopped": run.stopped}
     if args.out:
         found["out"] = str(write_trial(args.out, run.trial(), overwrite=args.overwrite))
@@ -100,8 +105,9 @@ def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder
                 run.stopped = f"fields: {error}"
             if asked and not run.stopped:
                 run.stopped = INTERRUPTED
-            if run.stopped:
+            if run.stopped and run.stopped != INTERRUPTED:  # which the caller tells, with what is kept
                 console.warn(f"stopped after {run.time:.2f} s, everything before is kept: {run.stopped}")
+            if run.stopped:
                 break
             if n < ticks:
                 bar.update(run.time, speed=float(np.hypot(*run.pose[3:5])))
