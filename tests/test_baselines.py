@@ -214,6 +214,15 @@ def test_every_shipped_gain_may_be_searched_by_the_tuner():
             control.gains_of(name, search.gains(search.point() + factor * np.log(tune_gains.REACH)))
 
 
+def test_warnings_of_candidates_do_not_stand_amid_the_tuning(bowl, tmp_path, capsys, monkeypatch):
+    plain = tune_gains.score
+    monkeypatch.setattr(tune_gains, "score", lambda *given: (console.warn("a beat is too fast"), plain(*given))[1])
+    words = ["pnl", "--budget", "32", "--water", "structured", "--out", str(tmp_path / "gains.toml")]
+    assert tune_gains.main(words) == console.OK
+    said = capsys.readouterr().err.splitlines()
+    assert said.count("fishmj: a beat is too fast") == 1 and "100 %" in said[-2] and said[-1].endswith("too fast")
+
+
 def test_the_tuner_writes_gains_that_are_read(bowl, tmp_path, capsys):
     file = tmp_path / "gains.toml"
     assert tune_gains.main(["pnl", "--budget", "16", "--water", "structured", "--out", str(file)]) == console.OK

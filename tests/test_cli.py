@@ -189,6 +189,27 @@ def test_a_screen_gets_one_line_that_is_rewritten():
     assert "100 %" in text and "reward 0.5" in text and "took 4.0 s" in text
 
 
+def test_progress_counts_its_time_from_a_restart():
+    clock = Clock()
+    bar = console.Progress(10, "train", stream=(screen := Screen()), clock=clock)
+    bar.stage("compiling the fish")
+    clock.now += 20
+    bar.restart()
+    clock.now += 4
+    bar.update(10)
+    assert "took 4.0 s" in screen.getvalue()
+
+
+def test_warnings_of_candidates_stand_behind_the_progress_once_each(capsys):
+    with console.warnings_behind():
+        for _ in range(3):
+            console.warn("a beat is too fast")
+        assert not capsys.readouterr().err
+    assert capsys.readouterr().err == "fishmj: a beat is too fast\n"
+    console.warn("now")
+    assert capsys.readouterr().err == "fishmj: now\n"
+
+
 def test_progress_never_goes_back():
     clock = Clock()
     bar = console.Progress(100, "judge", "s", stream=Screen(), clock=clock)

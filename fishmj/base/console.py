@@ -12,8 +12,8 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
 from importlib import import_module
 from textwrap import dedent
@@ -364,11 +364,26 @@ def say(*lines: str) -> None:
 
 
 def warn(message: str) -> None:
-    """Prints one line on stderr that does not stop the command."""
-    terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
+    """Prints one line on stderr that does not stop the command, or keeps it for the end of `warnings_behind`."""
+    if not _HELD:
+        terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
+    elif message not in _HELD[-1]:
+        _HELD[-1].append(message)
+
+
+@contextmanager
+def warnings_behind() -> Iterator[None]:
+    """Context whose warnings, such as those of many candidates, are printed behind it, each once."""
+    _HELD.append([])
+    try:
+        yield
+    finally:
+        for message in _HELD.pop():
+            warn(message)
 
 
 _WARNED: set[object] = set()
+_HELD: list[list[str]] = []  # warnings of open `warnings_behind`, innermost last
 
 
 def warn_once(message: str, key: object = None) -> None:

@@ -184,7 +184,7 @@ def main(argv: list[str]) -> int:
             continue
         kept = args.out.with_suffix(f".{name}.json")
         search = GainSearch.of(name, args.out if name in there else None)
-        with console.Progress(args.budget, f"tune {name}", unit="candidates") as bar:
+        with console.warnings_behind(), console.Progress(args.budget, f"tune {name}", unit="candidates") as bar:
             bar.stage("first candidate; engines compile in it")
             words = lambda kept=kept: f"{kept} holds the finished generations; {interrupt.again()}"
             with interrupt.keeping(words):

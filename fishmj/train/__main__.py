@@ -110,7 +110,8 @@ def options() -> console.Parser:
     add("--at-target", type=console.number(0, 1), metavar="SHARE", help=share)
     seconds = "length of an episode (default: the task's, 30 for station_hold)"
     add("--episode-seconds", type=console.number(0.02, 1e6), metavar="S", help=seconds)
-    step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often"
+    step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often. --gamma and"
+    step += " --reward count by decision: at half the step gamma forgets in half the time, and a second counts twice"
     add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step} (default: the robot's, 0.2 for fish)")
     way = "servo commands between two decisions. linear: on the way to the new angles; hold: the new angles at once;"
     way += " move_time: linear, and the servo interpolates too (default: the robot's, linear for fish)"
