@@ -20,13 +20,15 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.store import write_json
 from fishmj.control.policy import Policy
 from fishmj.tasks.env import Options, StationHold
-from fishmj.train import multi_seed
+from fishmj.train import multi_seed, training_run
 from fishmj.train.__main__ import main
 from fishmj.train.build import pick_engine, policy_of, settled
 from fishmj.train.learner import PolicyLayers, warn_of_rounding
 from fishmj.train.networks import mlp
 from fishmj.train.settings import PRESETS, as_dict, change, from_dict, of_run, preset
 from fishmj.train.training_run import TrainingRun, go_on, is_better, learner_of
+
+FIGURES = {"reward": 0.0, "late_distance": 1.0, "episodes": 1, "diverged": 0}  # of an iteration
 
 
 @pytest.fixture(scope="module")
@@ -203,6 +205,20 @@ def test_a_training_of_one_iteration_shows_its_rate_at_its_end():
     now[0] = 4.0
     bar.update(8000)
     assert "  1k steps/s  took 4.0 s" in out.getvalue().splitlines()[-1]
+
+
+def test_the_progress_of_a_training_ends_with_the_time_of_its_summary(tmp_path, monkeypatch):
+    now, out = [0.0], io.StringIO()
+    passes = lambda seconds, result: lambda *_: now.__setitem__(0, now[0] + seconds) or result
+    monkeypatch.setattr(training_run, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    for name, part in {"_iterate": passes(4.0, FIGURES), "_look": passes(2.0, ({}, False)), "_save": passes(0, 1)}.items():
+        monkeypatch.setattr(TrainingRun, name, part)
+    monkeypatch.setattr(TrainingRun, "_export", passes(0, None))
+    learner = SimpleNamespace(init=lambda key: None, steps_per_iteration=8192)
+    run = TrainingRun(calm_run(steps=8192, assess_every=8192), tmp_path, learner=(None, learner, None))
+    run.bar = console.Progress(8192, "train", "steps", stream=out, clock=lambda: now[0])
+    now[0] += 20.0  # in which the fish and the networks compile
+    assert run.go()["seconds"] == 6.0 and "took 6.0 s" in out.getvalue().splitlines()[-1]
 
 
 @pytest.mark.slow

@@ -270,6 +270,11 @@ def test_metrics_of_learners_have_episodes_and_older_checkpoints_go_on(algo):
     assert not np.asarray(again.tally.whole).any()
 
 
+def test_the_help_of_the_control_step_says_what_counts_by_decision():
+    said = " ".join(options().format_help().split())
+    assert "--gamma and --reward count by decision: at half the step gamma forgets in half the time" in said
+
+
 def test_an_interrupted_training_says_so_before_its_summary(monkeypatch):
     said: list[str] = []
     for say in ("say", "warn"):
