@@ -57,6 +57,7 @@ OTHER_WATERS = {  # row of a page -> water, policy and seed of the stored trials
     "1 cm, slip 0.995; 0.985": [("window slip 0.995", JUDGED_SEED, "9"), ("window slip 0.985", JUDGED_SEED, "9")],
     "reference, mass 20 % more; less (earlier)": [(f"reference-2, mass 20 % {off}", EARLIER, "9") for off in ("more", "less")],
     "2 cm, slip 0.97, seeds 9; 10": [("paper slip 0.97", JUDGED_SEED, seed) for seed in ("9", "10")],
+    "2 cm, slip 0.97, seed 3": [("paper slip 0.97", "station-family", "9")],
     "reference, at 0.35 and 0.4 m/s": [("reference-2, 0.35 and 0.4 m/s", JUDGED_SEED, "9")],
     "2 cm, slip 1, at 0, 0.02 and 0.04 m/s": [("paper slip 1, 0 to 0.04 m/s", JUDGED_SEED, "9")],
 }

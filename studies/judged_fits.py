@@ -5,8 +5,8 @@
 For each policy `rmse_after_arrival` in m, 72 trials each, and arrivals where not all arrive. `rest`: at 0 to 0.04 m/s in each
 fit of the reference in the family. `streams`: at 0.1 to 0.3 m/s in the first of them, there also `late` commands (85 ms) and
 `gusts` of 25 %. `slip 1`. `between`: a water with 0.2 of the fit at slip 0.95 and 0.8 of that at 0.98, for slip 0.97. The
-score is the mean of `rest`, plus `streams`, plus 0.05 for each late fish and 0.005 for each fish in `between` that does not
-arrive; the least is named. *synthetic*
+score is the mean of `rest`, plus `streams`, plus 0.005 for each fish of `late` and `between` that does not arrive; the least is
+named. *synthetic*
 """
 
 import argparse
@@ -28,7 +28,7 @@ from studies.judged_waters import robot_of
 OUT = Path("runs") / "judged_fits"
 REST, STREAMS = "0,0.02,0.04", "0.1,0.2,0.3"
 WEAKER = 0.2  # share of the fit at slip 0.95
-LATE, WEAK = 0.05, 0.005  # m, of the score for a fish that does not arrive
+LOST = 0.005  # m, of the score for a fish that does not arrive
 
 
 def between() -> str:
@@ -65,7 +65,7 @@ def judged(policy: str, options: list[str], folder: Path) -> tuple[float, int]:
 def score(found: dict[str, tuple[float, int]]) -> float:
     """Score of a policy from its cases, m; less is better."""
     rest = np.mean([rmse for name, (rmse, _) in found.items() if name.startswith("rest")])
-    return float(rest) + found["streams"][0] + LATE * found["late"][1] + WEAK * found["between"][1]
+    return float(rest) + found["streams"][0] + LOST * (found["late"][1] + found["between"][1])
 
 
 def main(argv: list[str] | None = None) -> int:
