@@ -144,7 +144,8 @@ def same_swim(robot):
     close(trace.velocity[0], np.stack([truth[k] for k in ("vx", "vy", "wz")], -1))
     close(trace.joint[0], stacked(truth, "j#"))
     close(trace.rate[0], stacked(truth, "k#"))
-    close(state.memory[0], memory)
+    if any(getattr(effects.get(fitted.name), site) for fitted in robot.effects for site in tank_run.STEPPED):
+        close(state.memory[0], memory)
     return trial, trace
 
 
@@ -186,6 +187,17 @@ def test_what_moves_the_fish_acts_in_a_tank_as_in_sim(dry, name):
         np.testing.assert_allclose(trace.power[0], drawn, rtol=0, atol=1e-9)
     plain = in_dry_tank(PLAIN, drawn_fish(PLAIN)[1])[1]
     assert np.abs(trace.pose - plain.pose).max() > 1e-6, "and it does something"
+
+
+@pytest.mark.parametrize("name", ["body_mass", "com_offset", "yaw_inertia", "command_latency", "marker_offset"])
+def test_effects_that_do_nothing_in_a_step_leave_the_servos_to_the_device(dry, name):
+    fish, params = robot_with(name), drawn_fish(PLAIN)[1]
+    params = params._replace(effects=engines.nominal_params(fish, 1).effects)
+    given = engines.at_rest(fish, POSE[None])
+    by_model = lbm.LbmEngine(fish, [Flow()]).tank(0, given.q[0], params)
+    assert not isinstance(by_model, tank_run.EffectRun)
+    both = robot_with(name, "coulomb_friction")
+    assert isinstance(lbm.LbmEngine(both, [Flow()]).tank(0, given.q[0], engines.nominal_params(both, 1)), tank_run.EffectRun)
 
 
 def test_many_effects_act_together_in_their_order(dry):

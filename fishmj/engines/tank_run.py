@@ -1,4 +1,4 @@
-"""Runs of a fish with effects in a tank of the flow solver; the effects replace MuJoCo's own servos.
+"""Runs of a fish with effects in a tank of the flow solver; effects that act in a step replace MuJoCo's own servos.
 
 In each step of the water the hooks of the closed form (`dynamics.hooks`) are called as on a bench in air. Their results drive the
 body (`lbm_oracle.immersed.driven_body`): torques and forces explicitly, dampings and masses in the matrix of the coupled solve.
@@ -7,6 +7,7 @@ The effects' memory advances with the water's step, and is restored if a tick is
 
 from typing import cast
 
+import mujoco
 import numpy as np
 
 from fishmj.effects import EffectStack
@@ -18,10 +19,12 @@ from fishmj.lbm_oracle.immersed.driven_body import DrivenBody
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.mjcf import build
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.model import personalise
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import DrawnFlow, Flow
 
 CLOCK = 1  # place of the session's time in an effect's memory
+STEPPED = ("command", "servo", "gear", "body")  # sites at which an effect acts in each step
 
 
 class TankEffects:
@@ -33,6 +36,7 @@ class TankEffects:
 
     Attributes:
         memory: present memory, flat list.
+        acting: True if they act in each step. If not, they only change masses, which stand in MuJoCo's model (`personalise`).
     """
 
     def __init__(self, robot: Robot, active: EffectStack, row, memory, swimmer: planar_chain.Swimmer):
@@ -40,6 +44,9 @@ class TankEffects:
         self.memory = [float(x) for x in memory][: len(active.memory)]
         self.chain, self.swimmer = active.begin(np, self.row, self.memory).fish(Constants(planar_chain.chain_of(robot), swimmer))
         self._pushed = any(effect.body is not None for effect in active.effects)
+        masses = {name: getattr(self.chain, name) for name in ("mass", "com", "inertia")}
+        stepped = any(getattr(effect, site) is not None for effect in active.effects for site in STEPPED)
+        self.acting = stepped or planar_chain.chain_of(robot)._replace(**masses) != self.chain
         self._still = [(0.0, 0.0)] * self.chain.n
         self._begun, self._tick, self._kept = self.memory[CLOCK], -1, list(self.memory)
 
@@ -58,6 +65,12 @@ class TankEffects:
         mass = np.asarray(self.swimmer.mass, float)
         made.set_masses(mass * self.chain.mass, self.chain.com, mass * self.chain.inertia)
         return made
+
+    def personalise(self, model: mujoco.MjModel) -> None:
+        """Writes this fish's own constants into MuJoCo's model, where nothing acts in a step."""
+        ch, sw = self.chain, self.swimmer
+        model.body_mass[1:], model.body_ipos[1:, 0], model.body_inertia[1:, 2] = ch.mass, ch.com, ch.inertia
+        personalise(model, mass=sw.mass, kp=sw.kp, kv=sw.kv, kb=sw.kb, zero=sw.zero)
 
     def restart(self) -> None:
         """Begins a session: its clock restarts, joints and gears keep their state."""

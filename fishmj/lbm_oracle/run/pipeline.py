@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator
 from itertools import count
 from typing import Any, Protocol
 
+import mujoco
 import numpy as np
 
 from fishmj.base.errors import ConfigError
@@ -116,7 +117,7 @@ class DeviceTick:
     def power(self) -> float:
         """Mean power that the servos drew, W."""
         torque, rate = (np.concatenate([getattr(part, name) for part in self.results]) for name in ("torque", "rate"))
-        return servo_power(torque, rate[:, -self.run.joints :], self.run.robot.servo.kb)
+        return servo_power(torque, rate[:, -self.run.joints :], self.run.coupled.body.model)
 
     def _targets(self, tick: int, part: int = 0) -> np.ndarray:
         """Servo targets (S, J) rad in the steps of one part of a tick."""
@@ -172,6 +173,10 @@ class Pipeline:
         return DeviceTick(run, self.steps[factor], factor, audit=audit, prefetch=prefetch)
 
 
-def servo_power(torque: np.ndarray, rate: np.ndarray, kb: float) -> float:
-    """Mean servo power over the steps, P = sum max(tau (tau - k_b w) / k_b, 0), W; torque N m and rate rad/s, (S, J)."""
+def servo_power(torque: np.ndarray, rate: np.ndarray, model: mujoco.MjModel) -> float:
+    """Mean servo power over the steps, P = sum max(tau (tau - k_b w) / k_b, 0), W; torque N m and rate rad/s, (S, J).
+
+    k_b is the damping of the fish's own joints, whose back-EMF it is.
+    """
+    kb = model.dof_damping[-torque.shape[1] :]
     return float(np.maximum(torque * (torque - kb * rate) / kb, 0.0).sum()) / len(torque)

@@ -58,7 +58,7 @@ class Servos:
     @property
     def power(self) -> float:
         """Mean power that the servos drew, W."""
-        return servo_power(np.array(self.torques), np.array(self.rates), self.run.robot.servo.kb)
+        return servo_power(np.array(self.torques), np.array(self.rates), self.body.model)
 
 
 class LeftDomain(FishmjError, RuntimeError):
