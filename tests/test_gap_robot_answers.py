@@ -3,12 +3,17 @@
 from dataclasses import replace
 
 import mujoco
+import numpy as np
 import pytest
 from robot_arm import ARM, trials_of, write_logs
 
+from fishmj.base.store import sha256
+from fishmj.gap.commands.admit_robot import _of_angles, in_another_unit, undone
+from fishmj.gap.commands.apply_robot import apply_robot, check_command
 from fishmj.gap.commands.check_robot import compare, printed_lines
-from fishmj.gap.commands.find_robot import by_effect, without_stand_in
+from fishmj.gap.commands.find_robot import by_effect, ranges_of, without_stand_in
 from fishmj.gap.models.robot_description import read_robot
+from fishmj.gap.records.robot_logs import read_columns
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.sections import escape_text
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
@@ -48,3 +53,69 @@ def test_version_that_leaves_a_gap_is_told_so(tmp_path):
     told = compare(parent, parent, records)
     assert told["left"].startswith("gap ") and "tolerances and noise" in told["left"]
     assert "RMS [rad, m]" in "\n".join(printed_lines(told | {"same_data": False, "logs": ["a"]}))
+
+
+@pytest.fixture(scope="module")
+def servo_arm(tmp_path_factory):
+    """An arm with position servos, and three logs of the arm with motors."""
+    folder = tmp_path_factory.mktemp("servos")
+    for name, text in (("motors.xml", ARM), ("arm.xml", ARM.replace("<motor", "<position kp='5'"))):
+        (folder / name).write_text(text)
+    trials = trials_of(read_robot(folder / "motors.xml"), write_logs(folder / "logs", ARM, logs=3, seconds=2.6))
+    return read_robot(folder / "arm.xml"), trials
+
+
+def test_apply_of_a_robot_takes_what_was_counted_in_or_says_that_the_gap_is_with_it(servo_arm, tmp_path):
+    robot, _ = servo_arm
+    fit = lambda name, **values: {"name": name, "parameters": {k: {"value": v, "low": v, "high": v} for k, v in values.items()}}
+    context = {"model": str(robot.path), "model_sha256": sha256(robot.path), "data": "/my logs", "columns": "/a map.toml"}
+    verdict = {"answer": "NAMED", "effects": [fit("body_mass@lower", mass=0.1)], "by_effect": {}, "context": context}
+    verdict |= {"tentative": [fit("viscous_friction@elbow", damping=0.07)], "gap_before": 9.0, "gap_after": 0.2, "over_floor": {}}
+    damping = lambda told: read_robot(told["path"]).model.dof_damping[1]
+    alone = apply_robot(tmp_path, verdict, tmp_path / "alone.xml", False)
+    assert damping(alone) == pytest.approx(0.02) and alone["gap_after"] is None and "--counted-in" in alone["reason"]
+    both = apply_robot(tmp_path, verdict, tmp_path / "both.xml", False, counted_in=True)
+    assert damping(both) == pytest.approx(0.09) and both["gap_after"] == 0.2
+    doubtful = apply_robot(tmp_path, verdict | {"answer": "CLASS"}, tmp_path / "forced.xml", True, counted_in=True)
+    assert damping(doubtful) == pytest.approx(0.02)
+    words = check_command(tmp_path, verdict, both["path"], None)
+    assert words[-4:] == ["--data", "/my logs", "--columns", "/a map.toml"]
+    (tmp_path / "report").mkdir()
+    away = check_command(tmp_path / "report", verdict, both["path"], None)
+    assert away[-4:] == ["--parent", str(robot.path), "--columns", "/a map.toml"]
+
+
+def test_one_log_in_another_unit_is_doubted(servo_arm):
+    robot, trials = servo_arm
+    records = robot_records(trials, robot.dt, robot.channels)
+    assert in_another_unit(robot, records) == []
+    turned = _of_angles(records[1], np.full(2, np.pi / 180))
+    wrong = [records[0], turned._replace(commands=turned.commands * np.pi / 180), records[2]]
+    (told,) = in_another_unit(robot, wrong)
+    assert told.startswith(f"{records[1].name}: ") and "is it in rad, and they in deg?" in told
+    assert in_another_unit(robot, [records[0], turned, records[2]]) == []
+
+
+def test_commands_alone_in_another_unit_are_a_mistake_that_is_tried(servo_arm):
+    robot, trials = servo_arm
+    records = robot_records(trials, robot.dt, robot.channels)
+    tried = {what: changed for what, _, changed in undone(robot, records)}
+    np.testing.assert_allclose(tried["reading commands in degrees"][0].commands, records[0].commands * np.pi / 180)
+
+
+def test_a_column_of_a_map_has_the_unit_in_its_name_unless_the_map_states_another(tmp_path):
+    path = tmp_path / "map.toml"
+    path.write_text('time = "t"\n[joint]\na = "a_deg"\n[actuator]\na = { column = "cmd_deg", unit = "mrad" }\n')
+    columns = read_columns(path, ("a",), ("a",))
+    assert columns.joint["a"].unit == "deg" and columns.actuator["a"].unit == "mrad"
+    assert columns.rows()[1:] == ["a_deg -> position of a [deg]", "cmd_deg -> command of a [mrad]"]
+
+
+def test_holes_in_the_logs_are_told_and_not_counted(servo_arm):
+    robot, trials = servo_arm
+    assert "left out" not in ranges_of(robot, trials)
+    joint = trials[0].tables["joint"]
+    t = np.asarray(joint["t"], float)
+    late = {"t": np.where(np.arange(len(t)) < 200, t, t + 1.5)}
+    told = ranges_of(robot, [replace(trials[0], tables=trials[0].tables | {"joint": dict(joint) | late})])
+    assert "1 hole of 1.5 s left out" in told

@@ -37,6 +37,7 @@ UNMOVED = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not m
 MOST_ORDERS = 4  # thrusters of which every order is tried; of more, each pair exchanged
 STILL, TURNED, NOISE = 2e-3, 5e-3, 8.0  # m and rad that a held base moves at most, beyond deviations of its noise
 JUMP = 1.5  # rad from one reading to the next
+UNIT = np.log(3.0)  # of the factor by which a log's movement may differ from 180/pi
 
 
 Undone = tuple[str, str, list[RobotRecord]]  # a mistake, its remedy, the records without it
@@ -109,6 +110,25 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
             out.append(
                 f"joint {joint.name}: jumps by {jump:.3g} rad between two readings: does its encoder wrap at another turn?"
             )
+    return out + in_another_unit(robot, records)
+
+
+def in_another_unit(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
+    """Logs whose hinges and their commands all move 180/pi times as far as those of the other logs, or as little."""
+    hinges = [j for j in robot.joints if j.actuator >= 0 and robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE]
+    if len(records) < 2 or not hinges or not robot.model.actuator_biasprm[:, 1].any():
+        return []
+    first = len(robot.channels) - len(robot.joints)
+    read = [first + robot.joints.index(j) for j in hinges]
+    ways = [[*np.ptp(r.joint.values[:, read], 0), *np.ptp(r.commands[:, [j.actuator for j in hinges]], 0)] for r in records]
+    far = np.log(np.maximum(ways, 1e-9))
+    out = []
+    for k, r in enumerate(records):
+        apart = far[k] - np.median(np.delete(far, k, 0), axis=0)
+        for sign, way, one, other in ((-1, "little", "rad", "deg"), (1, "far", "deg", "rad")):
+            if (np.abs(apart - sign * np.log(180 / np.pi)) < UNIT).all():
+                moved = f"joints and commands move {np.exp(np.median(np.abs(apart))):.0f} times as {way} as in the other logs"
+                out.append(f"{r.name}: {moved}: is it in {one}, and they in {other}? Write all in one unit, or leave it out")
     return out
 
 
@@ -172,6 +192,8 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undo
         if robot.model.actuator_biasprm[:, 1].any():
             both = [r._replace(commands=r.commands * factor) for r in turns]
             yield f"reading positions and commands in {what}", f'state unit = "{unit}" for both {table}', both
+            asked = [r._replace(commands=r.commands * factor) for r in records]
+            yield f"reading commands in {what}", f'state unit = "{unit}" for the actuators {table}', asked
     for i, k in combinations(own, 2):
         order = list(range(len(names)))
         order[i], order[k] = k, i

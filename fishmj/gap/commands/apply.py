@@ -77,9 +77,9 @@ def main(argv: list[str]) -> int:
     from fishmj.gap.commands import reported
 
     if verdict := reported.robot_verdict(args.report):
-        from fishmj.gap.commands.apply_robot import apply_robot
+        from fishmj.gap.commands.apply_robot import apply_robot, check_command
 
-        written = ApplyOutcome(**apply_robot(args.report, verdict, args.out, args.force))
+        written = ApplyOutcome(**apply_robot(args.report, verdict, args.out, args.force, args.counted_in))
     else:
         written = apply(args.report, args.out, args.data, args.force, args.counted_in)
     console.say(written.reason, *([f"written: {written.path}"] if written.path else []))
@@ -87,10 +87,10 @@ def main(argv: list[str]) -> int:
         console.say(written.mjcf.rstrip("\n"))
     if written.hooks:
         console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
-    if written.accepted:
-        data = args.data or ("LOGS" if verdict else "DATA")
-        check = shlex.join(["fishmj", "gap", "check", str(written.path), "--data", str(data)])
-        console.say(f"compare it with its parent: {check}" if verdict else f"check it any time: {check}")
+    if written.accepted and written.path:
+        words = ["fishmj", "gap", "check", str(written.path), "--data", str(args.data or "DATA")]
+        words = check_command(args.report, verdict, written.path, args.data) if verdict else words
+        console.say(f"{'compare it with its parent' if verdict else 'check it any time'}: {shlex.join(words)}")
     if args.json:
         console.emit_json(written._asdict())
     return console.OK if written.accepted or written.path is None else console.FAILED_CHECK
@@ -160,6 +160,9 @@ def settle(
         table |= {"gap_before": before, "gap_after": after}
         table |= {"judged_gap": [float(judged), float(closed)], "over_floor": [float(floor), float(left)]}
         good, reason = verdict_on(answer, (before, after), (judged, closed), (floor, left), which)
+        minor = [e["name"] for e in verdict.get("tentative", [])] if answer == "NAMED" and not counted_in else []
+        if minor:
+            reason += f"; the gap on the records searched is that with {' and '.join(map(title, minor))}, which --counted-in adds"
         if good or force:
             model_version.write(context["model"], out, effects, table)
             from fishmj.gap.commands.mjcf_patch import difference, hooked

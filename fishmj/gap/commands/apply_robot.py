@@ -24,8 +24,8 @@ from fishmj.gap.models.robot_patch import next_mjcf
 from fishmj.gap.wording import level, pair, title
 
 
-def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> dict:
-    """Writes the next version. verdict: of verdict.json with its context. Returns what `gap apply` tells.
+def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool, counted_in: bool = False) -> dict:
+    """Writes the next version. verdict: of verdict.json with its context; others: as `apply`. Returns what `gap apply` tells.
 
     Raises:
         ConfigError: the description changed since the search, an effect of a sensor, or a file exists.
@@ -41,6 +41,8 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
             else "no effect to add"
         )
         return told | {"reason": f"{answer}: {why}; {path.name} stays as it is"}
+    beside = verdict.get("tentative", []) if answer == "NAMED" else []  # fitted with the named ones
+    named += beside if counted_in else []
     robot = read_robot(path)
     held = [held_by_mjcf(e) for e in named]
     m, delay, beyond = changed(robot, held)
@@ -57,9 +59,10 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     write_bytes(version, written.data)
     if beyond.names:
         write_text(module, module_text(version.name, robot, m, beyond, verdict["context"].get("rest") or {}))
-    if left := [e["name"] for e in verdict["effects"] if e not in named]:
+    if left := [e["name"] for e in (*verdict["effects"], *beside) if e not in named]:
         told |= {"gap_before": None, "gap_after": None}
-        reason = f"without {', '.join(map(title, left))}, not certain: what the rest closes was not measured; gap check does"
+        why = "counted in with --counted-in" if beside else "not certain"
+        reason = f"without {', '.join(map(title, left))}, {why}: what the rest closes was not measured; gap check does"
     else:
         reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
     if not left and (floors := verdict["over_floor"].get("searched")):
@@ -72,6 +75,15 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool) -> d
     if beyond.names:
         reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, which no field of MuJoCo holds"
     return told | {"path": version, "accepted": True, "reason": f"{reason}; {written.how}", "mjcf": written.diff}
+
+
+def check_command(report: Path, verdict: dict, version: Path, data: Path | None) -> list[str]:
+    """Words of the command that compares a version with its parent, on the logs of the search unless others are given."""
+    context = verdict["context"]
+    words = ["fishmj", "gap", "check", str(version), "--data", str(data or context.get("data") or "LOGS")]
+    beside = report if report.is_dir() else report.parent
+    words += [] if version.resolve().parent == beside.resolve() else ["--parent", context["model"]]
+    return words + (["--columns", context["columns"]] if context.get("columns") else ["--yes"])
 
 
 def held_by_mjcf(effect: dict) -> dict:

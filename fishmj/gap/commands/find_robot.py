@@ -46,6 +46,7 @@ from fishmj.log import Trial, stacked
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
 AGAIN = "the same command begins anew"
 MOST_SAID = 10  # notes on logs that are printed
+HOLE = 10  # usual steps between two rows, from which on rows are missing
 
 
 def find(args: Any) -> int:
@@ -88,14 +89,18 @@ def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dic
 
 
 def ranges_of(robot: RobotDescription, trials: list[Trial]) -> str:
-    """Length and step of the logs, and the range of each channel, for a reader who knows them."""
-    stamps = [np.asarray(trial.tables["joint"]["t"], float) for trial in trials]
-    long, step = sum(float(np.ptp(t)) for t in stamps), float(np.median(np.concatenate([np.diff(t) for t in stamps])))
+    """Length and step of the logs, holes in them, and the range of each channel, for a reader who knows them."""
+    steps = np.concatenate([np.diff(np.asarray(trial.tables["joint"]["t"], float)) for trial in trials])
+    step = float(np.median(steps))
+    holes = steps[steps > HOLE * step]
+    long, word = steps.sum() - holes.sum(), "hole" if len(holes) == 1 else "holes"
+    lost = f", {len(holes)} {word} of {holes.sum():.3g} s left out" if len(holes) else ""
     parts = []
     for j, name in enumerate(joint.name for joint in robot.joints):
         values = np.concatenate([stacked(trial.tables["joint"], "j#")[:, j] for trial in trials])
         parts.append(f"{name} {values.min():.4g} to {values.max():.4g}")
-    return f"read: {len(trials)} logs, {long:.4g} s, a row every {1e3 * step:.4g} ms; rad or m: {', '.join(parts) or 'no joint'}"
+    read = f"read: {len(trials)} logs, {long:.4g} s{lost}, a row every {1e3 * step:.4g} ms"
+    return f"{read}; rad or m: {', '.join(parts) or 'no joint'}"
 
 
 def refuse_fish_options(args: Any, command: str) -> None:
@@ -189,6 +194,7 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
         "model": str(robot.path.resolve()),
         "model_sha256": sha256(robot.path),
         "data": str(args.data.resolve()),
+        "columns": str(args.columns.resolve()) if args.columns else "",
         "data_sha256": logs_digest(files),
         "judged": inquiry.judged,
         "null": {"runs": args.null_runs, "noise": args.noise, "seed": args.seed},

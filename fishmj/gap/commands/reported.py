@@ -129,6 +129,8 @@ class RobotContext(_ReportTable):
 
     model: Text
     model_sha256: Sha256
+    data: Text = ""
+    columns: Text = ""
     rest: dict[str, Finite] = {}
     data_sha256: Text = ""
     judged: list[Text] = []
@@ -137,6 +139,7 @@ class RobotContext(_ReportTable):
 class _RobotVerdict(_ReportTable):
     answer: Literal["AGREES", "NAMED", "CLASS", "UNEXPLAINED", "NOT_REPEATABLE"]
     effects: list[_RobotEffect]
+    tentative: list[_RobotEffect] = []
     rivals: list[_RobotRival] = []
     by_effect: dict[str, Literal["NAMED", "CLASS"]] = {}
     context: RobotContext

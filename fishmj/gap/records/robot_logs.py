@@ -81,7 +81,8 @@ class RobotColumns(NamedTuple):
         out += [f"{c.column} -> {name} of the base{unit(c, 'm') if name in PLACE else ''}" for name, c in self.base.items()]
         out += [f"{c.column} -> position of {name}{unit(c, 'rad or m')}" for name, c in self.joint.items()]
         scale = lambda c: f" times {c.scale:g}" if c.scale != 1 else ""
-        return out + [f"{c.column} -> command of {name}{scale(c)}" for name, c in self.actuator.items()]
+        asked = lambda c: unit(c, "") if c.unit else ""
+        return out + [f"{c.column} -> command of {name}{asked(c)}{scale(c)}" for name, c in self.actuator.items()]
 
     def doubts(self) -> list[str]:
         """Warnings about commands that were measured: a current times a constant is a torque only as far as the constant is."""
@@ -102,10 +103,16 @@ def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str], fr
             wrong = sorted(known ^ set(names))[0]
             why = "the model has none of that name" if wrong in known else "is missing"
             raise LogError(f"{path}: [{table}] {bare(wrong)}: {why}; expected a column for each of {', '.join(names)}")
-        tables[table] = {name: _column(given[name], f"{path}: [{table}] {name}", Column) for name in names}
+        tables[table] = {name: _in_its_unit(_column(given[name], f"{path}: [{table}] {name}", Column)) for name in names}
     if unknown := sorted(set(raw) - {"time", "joint", "actuator", "base"}):
         raise LogError(f"{path}: {bare(unknown[0])} is no key; expected time, [joint], [actuator] and [base]")
     return RobotColumns(_column(raw.get("time"), f"{path}: time", Stamp), **tables)
+
+
+def _in_its_unit(column: Column) -> Column:
+    """The column in the angle's unit that its own name states, where the map states neither unit nor scale."""
+    stated = column.unit or column.scale != 1.0 or (unit := _angle(str(column.column).rpartition(":")[2])) in ("", "rad")
+    return column if stated else column.model_copy(update={"unit": unit})
 
 
 def _column(given: Any, where: str, kind: Any) -> Any:
