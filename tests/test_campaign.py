@@ -12,6 +12,7 @@ from ray_toys import toy
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, DatasetError, OracleUnstable
+from fishmj.base.store import write_json
 from fishmj.hydro_fit import segment_dataset
 from fishmj.hydro_fit.campaign.data import plan, run_segments, solver_hash
 from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, main
@@ -228,6 +229,10 @@ def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
     )
     assert console.run(main, ["--preview", "--fresh-test", "2"]) == console.BAD_INPUT
     assert console.run(main, ["--scale", "0", "--dry-run"]) == console.BAD_INPUT
+    table = {"episodes": {}, "plans": [], **SETUP.about} | {"robot": SETUP.about["robot"] | {"sha256": "0" * 64}}
+    write_json(tmp_path / "other" / "split.json", table)
+    assert console.run(main, ["--preview", "--dry-run", "--out", str(tmp_path / "other")]) == console.BAD_INPUT
+    assert "holds segments of another fish" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

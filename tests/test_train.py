@@ -145,7 +145,7 @@ def test_a_run_killed_after_its_last_checkpoint_writes_its_lines_once(learner, t
     assert all(line["reward"] != 5.0 for line in figures_of(again))
 
 
-def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, tmp_path):
+def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, tmp_path, monkeypatch):
     settings = calm_run()
     StopAt(settings, tmp_path, 8192, learner=learner, command="fishmj train --preset quick").go()
     assert Policy.load(tmp_path).meta["command"] == "fishmj train --preset quick"
@@ -156,6 +156,12 @@ def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, t
     with pytest.raises(ConfigError, match="nothing to resume"):
         TrainingRun(settings, tmp_path / "empty", learner=learner, resume=True)
     more = {"learner": learner, "resume": True, "command": "fishmj train --resume"}
+    with monkeypatch.context() as other:
+        other.setattr(training_run, "constants_sha256", lambda robot: "of a heavier fish")
+        with pytest.raises(
+            ConfigError, match="the description of fish changed meanwhile; put it back as it was, or begin another"
+        ):
+            TrainingRun(settings, tmp_path, **more)
     longer = TrainingRun(change(settings, steps=10**9), tmp_path, **more)  # only longer: that is allowed
     assert longer.done == 8192 and longer.command == "fishmj train --preset quick", "the command that began it"
 

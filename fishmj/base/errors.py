@@ -52,11 +52,11 @@ class ResetNeeded(FishmjError, AssertionError):
 class UnknownName(FishmjError, KeyError):
     """A task, water, controller, effect or key that does not exist."""
 
-    def __init__(self, kind: str, name: str, known, *, near: str = ""):
+    def __init__(self, kind: str, name: str, known, *, near: str = "", more: str = ""):
         known = sorted(str(k) for k in known)
         near = near or "".join(get_close_matches(str(name), known, 1, 0.5))
         hint = f" Did you mean {near!r}?" if near else ""
-        self.message = f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}."
+        self.message = f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}.{more}"
         super().__init__(self.message)
 
     def __str__(self) -> str:

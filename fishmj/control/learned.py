@@ -61,7 +61,8 @@ class LearnedController:
     def _remedy(self, robot: Robot) -> str:
         """Advice where the policy does not fit this robot."""
         own, option = str(self.policy.meta.get("robot", robot.name)), robot_option()
-        named = f": name that one, {option} FILE; or" if option else ";"
+        file = next((name for name in SHIPPED_ROBOTS if load_robot(name).name == own), "FILE")
+        named = f": name that one, {option} {file}; or" if option else ";"
         return f"it was trained for {shown(own)}{named} {OTHERS}" if own != robot.name else OTHERS
 
     def trained(self, robot: Robot | None = None) -> dict:

@@ -305,6 +305,8 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     path, taken = promote(model, out, score=new, standing=old)
     console.say(f"{path}: validation {new:.4g} squared tolerances" + ("" if old is None else f", standing model {old:.4g}"))
     place = path if standing is None or taken else standing[1]
+    if taken and path.parent.resolve() not in [folder.resolve() for folder in FOLDERS]:
+        console.say(f"swim in it with --water {shlex.quote(str(path))}, in play, train and evaluate")
     row = {"model": str(path), "taken": taken, "place": str(place), "preview": model.preview, "validation": new, "standing": old}
     return row | {"seconds": done.seconds, "notes": done.notes}
 

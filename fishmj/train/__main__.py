@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fishmj.base import console, ray_cluster
 from fishmj.base.errors import ConfigError
+from fishmj.mjcf.reading import load_robot
 from fishmj.train.planned_runs import (
     PlannedRun,
     check_distinct,
@@ -19,6 +20,7 @@ from fishmj.train.planned_runs import (
 )
 from fishmj.water import choice
 
+STEP = 0.2  # s, control step of the presets
 HALF = 0.5  # of the fish; a policy with which fewer arrive does not hold yet
 LOOKS = 10  # assessments in an algorithm's own budget of steps
 SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
@@ -463,7 +465,12 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         )
         if r.get("tune_arrival", 1.0) < HALF and not r["stopped"]:
             more = shlex.join(["fishmj", "train", "--resume", "--out", r["folder"]])
-            console.warn(f"{run.name}: fewer than half of the fish arrive; to train longer: {more} --steps N")
+            step = run.settings.control_dt or load_robot(run.settings.robot).timing.control_dt
+            jerks = (
+                f"; a step of {step:g} s explores faster joints than one of {STEP:g} s: try --reward wS=0.001, a higher --gamma"
+            )
+            longer = f"to train longer: {more} --steps N{jerks if step < STEP else ''}"
+            console.warn(f"{run.name}: fewer than half of the fish arrive; {longer}")
     result: dict = {"runs": results}
     if args.sweep:
         table = sweep_table(runs, results)

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import contextmanager
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from threading import Lock
 
@@ -25,14 +26,17 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.base.source import made_by
 from fishmj.control.policy import Policy
+from fishmj.control.policy_meta import structure_sha256
+from fishmj.mjcf.identity import constants_sha256, structure_of
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
 from fishmj.train import training_cost
 from fishmj.train.begin import begun
-from fishmj.train.build import algorithm, environment, pick_engine, policy_of, settled
+from fishmj.train.build import algorithm, environment, pick_engine, policy_of, robot_for, settled
 from fishmj.train.learner import PolicyLayers, reported, warn_of_rounding
 from fishmj.train.settings import ALGORITHMS, FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
 from fishmj.water.choice import LBM
+from fishmj.water.water_identity import water_identity
 
 PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # kept in a checkpoint beside the arrays
 SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
@@ -238,6 +242,7 @@ class TrainingRun:
         self.assessed = 0  # the step of the newest assessment
         self.best: dict | None = None
         self.episodes, self.dropped = 0, 0
+        self.trained_on = trained_on(self.settings)
         self._saving, self._under_way = Lock(), False
         self._held: tuple[dict, dict] | None = None
         self._pace = 0.0  # s of the last iteration
@@ -386,7 +391,7 @@ class TrainingRun:
         """Arrays and metadata of a checkpoint."""
         arrays = arrays_of(self.training)
         self._finite(arrays)  # a last update can spoil the weights after the figures were taken
-        return arrays, {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in PROGRESS}}
+        return arrays, {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in (*PROGRESS, "trained_on")}}
 
     def _save(self) -> None:
         with self._saving:
@@ -400,6 +405,11 @@ class TrainingRun:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
         # the checkpoint's own settings, not those of settings.json, which a resumed run may have rewritten already
         same(self.folder, self.settings, as_dict(settled(from_dict(found.meta["settings"]))))
+        there = found.meta.get("trained_on", self.trained_on)
+        if changed := [name for name, digest in self.trained_on.items() if there.get(name) != digest]:
+            what = f"the {' and the '.join(changed)} of {self.settings.robot} changed meanwhile"
+            begin = f"begin another run with its policy: --begin {shlex.quote(str(self.folder))}"
+            raise ConfigError(f"{self.folder}: {what}; put it back as it was, or {begin}")
         # the fresh state defines the leaves, shapes and dtypes; the key among them makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
         # counts of the run, not of the learner: without them a resumed run would assess and stop at other steps
@@ -416,6 +426,13 @@ class TrainingRun:
             for path in self.checkpoints.paths():
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
+
+
+def trained_on(settings: Settings) -> dict[str, str]:
+    """Digests of the robot and the water of a run; a run that goes on has the same."""
+    robot = robot_for(settings)
+    body = f"{structure_sha256(structure_of(robot))} {constants_sha256(robot)}"
+    return {"description": sha256(body.encode()).hexdigest(), "water": water_identity(robot).get("sha256", "")}
 
 
 def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) -> None:

@@ -275,5 +275,7 @@ def fitted_water(name: str) -> "HydroModel":
         return family.members[0]
     plain, _ = split_member(name)
     if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
-        raise UnknownName("water", name, (*KINDS, *shipped(), *calib.families()))
+        raise UnknownName(
+            "water", name, (*KINDS, *shipped(), *calib.families()), more=" One of your own is named by its file, .toml."
+        )
     return HydroModel.load(name)

@@ -28,7 +28,7 @@ from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup, on_device
 from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.hydro_fit.record import files, write_record
-from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, split_hashes
+from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, same_fish, split_hashes
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.fluid.guard import check_speed
 from fishmj.lbm_oracle.run import solver_cost
@@ -196,6 +196,7 @@ def _state_split(folder: Path, plan: CampaignPlan, setup: Setup, adding: bool) -
         episodes, plans, made = dict(before["episodes"]), list(before["plans"]), {key: before[key] for key in about}
     except (TypeError, KeyError, ValueError) as error:
         raise DatasetError(f"{path}: {error!r}; expected episodes, plans, robot and grid. Take another folder") from error
+    same_fish(made["robot"], setup.robot, folder)
     for key, value in about.items():
         if made[key] != value and (adding or key != "solver"):
             raise ConfigError(f"{folder} holds segments of another {key}: {made[key]} (now {value}). Take another folder")
@@ -286,6 +287,8 @@ def run(args: argparse.Namespace) -> int:
     domain = domain_of(args, out)
     check_step(plan, domain)
     if args.dry_run:  # here, for whatever machine
+        if (out / SPLIT).is_file():
+            same_fish(read_json(out / SPLIT).get("robot", {}), robot, out)
         say_plan(plan, robot, domain)
         say_cost(plan, out, domain, boundary_name(edge), args)
         return console.OK
