@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from robot_arm import ARM, trials_of, write_logs
 
-from fishmj.base.store import sha256
+from fishmj.base import console
+from fishmj.base.store import sha256, write_json
+from fishmj.gap.commands import apply
 from fishmj.gap.commands.admit_robot import _of_angles, in_another_unit, undone
 from fishmj.gap.commands.apply_robot import apply_robot, check_command
 from fishmj.gap.commands.check_robot import compare, printed_lines
@@ -119,3 +121,17 @@ def test_holes_in_the_logs_are_told_and_not_counted(servo_arm):
     late = {"t": np.where(np.arange(len(t)) < 200, t, t + 1.5)}
     told = ranges_of(robot, [replace(trials[0], tables=trials[0].tables | {"joint": dict(joint) | late})])
     assert "1 hole of 1.5 s left out" in told
+
+
+@pytest.mark.parametrize(("answer", "code"), [("CLASS", console.FAILED_CHECK), ("NAMED", console.OK), ("AGREES", console.OK)])
+def test_apply_of_an_uncertain_answer_fails_as_that_of_a_fish_does(answer, code, servo_arm, tmp_path, capsys):
+    robot, _ = servo_arm
+    value = {"value": 0.1, "unit": "kg", "low": 0.09, "high": 0.11}
+    found = [] if answer == "AGREES" else [{"name": "body_mass@lower", "parameters": {"mass": value}}]
+    context = {"model": str(robot.path), "model_sha256": sha256(robot.path)}
+    write_json(
+        tmp_path / "verdict.json", {"answer": answer, "effects": found, "context": context, "gap_before": 9, "gap_after": 1}
+    )
+    assert console.run(apply.main, [str(tmp_path)]) == code
+    said = capsys.readouterr().out
+    assert ("compare it with its parent" in said) == (answer == "NAMED")

@@ -52,6 +52,7 @@ def test_onnx_graph_keeps_the_window_of_a_policy(activation, memory):
 @pytest.mark.parametrize(("name", "said"), [("station", "observation (N, 11)"), ("station-family", "window (N, 98) float32")])
 def test_onnx_file_describes_its_inputs(name, said):
     made = onnx_model(Policy.load(name), "")
+    assert "target_x [m], target_y [m], " in made.doc_string and "joint angle over 1.047198 rad, every 0.2 s" in made.doc_string
     assert said in made.doc_string and all(one.name in made.doc_string for one in (*made.graph.input, *made.graph.output))
 
 

@@ -78,7 +78,11 @@ def onnx_model(policy: Policy, digest: str, name: str = "policy") -> Any:
 
 def interface(policy: Policy) -> str:
     """Inputs and outputs of the graph, for its `doc_string`."""
+    meta = policy.meta
     said = f"observation (N, {policy.n_obs}) float32 in SI units, undivided -> action (N, {policy.n_act}) in [-1, 1]."
+    order = ", ".join(f"{one['name']} [{one['unit']}]" for one in meta.get("observation", ()))
+    said += f" Observations in order: {order}." if order else ""
+    said += f" Action: {meta['action']}, every {meta['control_dt']:g} s." if {"action", "control_dt"} <= set(meta) else ""
     if policy.memory > 1:
         width = (policy.memory - 1) * (policy.n_act + policy.n_obs)
         said += f" window (N, {width}) float32 is the last next_window; restart (N, 1) bool is true in an episode's first call,"

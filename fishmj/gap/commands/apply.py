@@ -93,7 +93,8 @@ def main(argv: list[str]) -> int:
         console.say(f"{'compare it with its parent' if verdict else 'check it any time'}: {shlex.join(words)}")
     if args.json:
         console.emit_json(written._asdict())
-    return console.OK if written.accepted or written.path is None else console.FAILED_CHECK
+    nothing = written.path is None and not (verdict and verdict["effects"])  # to add
+    return console.OK if written.accepted or nothing else console.FAILED_CHECK
 
 
 def apply(
