@@ -259,7 +259,7 @@ HOSTILE: dict[str, tuple[Make, list[str], str]] = {
     "verdict_pipe": (verdict_pipe, ["gap", "apply", "report"], "refused"),
     "links_and_pipes": (links_and_pipes, [*LAB, "--skip-bad"], "noted"),
     "trial_of_links": (trial_of_links, CHECK, "noted"),
-    "page_script": (page_script, ["replay", "swim<img src=x onerror=alert(3)>", "--out", "page.html"], "noted"),
+    "page_script": (page_script, ["replay", "swim<img src=x onerror=alert(3)>", "--robot", "fish", "--out", "p.html"], "noted"),
     "escapes": (escapes, [*LAB, "--trial-each"], "noted"),
     "map_everything": (map_everything, [*IMPORT, "--columns", "MAP.toml"], "refused"),
     "toml_deep": (toml_deep, ["log", "import", "trial", "--out", "data", "--yes"], "refused"),

@@ -59,12 +59,14 @@ def find(args: Any) -> int:
         inquiry = search(robot, trials, args)
         told = told_of(inquiry)
         console.say(inquiry.verdict.text(), *(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
-        console.say(f"  {place_of(inquiry).text}")
+        place = place_of(inquiry)
+        agrees = inquiry.verdict.answer == "AGREES" and any(place.joints.values())
+        console.say(f"  {place.text}{'; the stated tolerances explain all of it' if agrees else ''}")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
             rest = dict(zip(robot.sites("joint"), inquiry.evidence.model.rest, strict=True))
             write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files, inquiry) | {"rest": rest}})
-            page = write_robot_page(inquiry, place_of(inquiry), told["by_effect"], args.out)
+            page = write_robot_page(inquiry, place, told["by_effect"], args.out)
             console.say(f"written: verdict.json, {page}")
     if args.json:
         console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
