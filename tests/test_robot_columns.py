@@ -139,7 +139,7 @@ def test_a_column_that_says_its_unit_outweighs_its_topic(column, unit):
 
 
 def test_commands_and_positions_of_two_clocks_that_share_little_are_refused(tmp_path):
-    """Of arrays of two lengths; the unit of both clocks settles it. A date says by itself where they lie."""
+    """Arrays of two lengths are refused unless a map states the unit of both clocks, or both are dated."""
     sent, read = 0.02 * np.arange(5000), 0.02 * np.arange(300)
     arrays = {f"tau{k}": np.sin(k * sent) for k in (1, 2)} | {f"q{k}": np.sin(k * read) for k in (1, 2)}
     for name, zero in (("log", 0.0), ("dated", 1.7e9)):

@@ -140,11 +140,11 @@ class LbmEngine:
             pose=(float(q[0]), float(q[1]), float(q[2])), joints=tuple(float(a) for a in q[3:]),
             width=self.width, passes=self.passes, sharpness=self.sharpness, storage=self.storage,
         )  # fmt: skip
-        acting = added is not None and added.acting
-        coupled = stage.coupled(added.body(self.domain.body_level.dt) if added and acting else None)
+        acting = added if added is not None and added.acting else None
+        coupled = stage.coupled(acting.body(self.domain.body_level.dt) if acting else None)
         if added is None:
             personalise(coupled.body.model, **own)
-        elif not acting:
+        elif acting is None:
             added.personalise(coupled.body.model)
         coupled.body.forward()
         edge = DomainWatch(self.domain, float(q[2]))
@@ -154,7 +154,7 @@ class LbmEngine:
                 f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
             )
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
-        run: Callable[..., Run] = partial(EffectRun, added) if added and acting else Run
+        run: Callable[..., Run] = partial(EffectRun, acting) if acting else Run
         return run(coupled, self.robot, latency=latency, follow=edge, tethered=True)
 
 

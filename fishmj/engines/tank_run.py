@@ -42,11 +42,12 @@ class TankEffects:
     def __init__(self, robot: Robot, active: EffectStack, row, memory, swimmer: planar_chain.Swimmer):
         self.robot, self.active, self.row = robot, active, [float(x) for x in row]
         self.memory = [float(x) for x in memory][: len(active.memory)]
-        self.chain, self.swimmer = active.begin(np, self.row, self.memory).fish(Constants(planar_chain.chain_of(robot), swimmer))
+        described = planar_chain.chain_of(robot)
+        self.chain, self.swimmer = active.begin(np, self.row, self.memory).fish(Constants(described, swimmer))
         self._pushed = any(effect.body is not None for effect in active.effects)
         masses = {name: getattr(self.chain, name) for name in ("mass", "com", "inertia")}
         stepped = any(getattr(effect, site) is not None for effect in active.effects for site in STEPPED)
-        self.acting = stepped or planar_chain.chain_of(robot)._replace(**masses) != self.chain
+        self.acting = stepped or described._replace(**masses) != self.chain
         self._still = [(0.0, 0.0)] * self.chain.n
         self._begun, self._tick, self._kept = self.memory[CLOCK], -1, list(self.memory)
 

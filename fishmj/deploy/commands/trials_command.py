@@ -117,7 +117,7 @@ def main(argv: list[str], in_step: Wire | None = None) -> int:
         walk = Walk(args, robot, controller, waters, session, places, in_step)
         walk.through()
         if walk.stop.is_set():
-            console.warn(f"interrupted; {walk.kept()}")
+            console.warn(f"interrupted; {walk.kept_words()}")
             return console.INTERRUPTED
     return tables(args, robot, controller, trials_tables.measured_trials(trials, waters), session, places)
 
@@ -150,11 +150,11 @@ class Walk:
             for number, place in enumerate(left):
                 if self.stop.is_set():
                     return
-                with interrupt.keeping(self.kept):
+                with interrupt.keeping(self.kept_words):
                     bar.update(number, next=place.name)
                     self._one(place)
 
-    def kept(self) -> str:
+    def kept_words(self) -> str:
         """Text of what is kept, and the command that goes on."""
         return f"{len(self.session.accepted)} trials are in {self.session.folder / KEPT}; {interrupt.again('go on')}"
 
@@ -248,7 +248,7 @@ class Walk:
                 stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, process=self.monitor))
             plan = SwimPlan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = SwimLoop(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
-            with undisturbed(), steering(link, clock, self.stop, self.kept):
+            with undisturbed(), steering(link, clock, self.stop, self.kept_words):
                 return swim.run()
 
 

@@ -146,9 +146,9 @@ def settle(
     seen = f"{len(context['judged'])} {which} of {context['data']}"
     provenance = f"{answer}: {seen}"
     effects = model_version.found(verdict, provenance, context["data_sha256"])
-    if counted_in and answer == "NAMED":  # their values were fitted together
-        beside = {"effects": verdict.get("tentative", [])}
-        effects += model_version.found(beside, f"counted in, not named: {seen}", context["data_sha256"])
+    beside = verdict.get("tentative", []) if answer == "NAMED" else []  # fitted with the named ones
+    if counted_in:
+        effects += model_version.found({"effects": beside}, f"counted in, not named: {seen}", context["data_sha256"])
     with tempfile.TemporaryDirectory() as scratch:
         table = {"effects": [e.name for e in effects], "answer": answer}
         table |= {key: context[key] for key in ("data", "data_sha256", "judged")}
@@ -161,9 +161,9 @@ def settle(
         table |= {"gap_before": before, "gap_after": after}
         table |= {"judged_gap": [float(judged), float(closed)], "over_floor": [float(floor), float(left)]}
         good, reason = verdict_on(answer, (before, after), (judged, closed), (floor, left), which)
-        minor = [e["name"] for e in verdict.get("tentative", [])] if answer == "NAMED" and not counted_in else []
-        if minor:
-            reason += f"; the gap on the records searched is that with {' and '.join(map(title, minor))}, which --counted-in adds"
+        if beside and not counted_in:
+            minor = " and ".join(title(e["name"]) for e in beside)
+            reason += f"; the gap on the records searched is that with {minor}, which --counted-in adds"
         if good or force:
             model_version.write(context["model"], out, effects, table)
             from fishmj.gap.commands.mjcf_patch import difference, hooked
