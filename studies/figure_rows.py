@@ -48,18 +48,16 @@ OF_FAMILIES = {  # row of a page -> key of the families' score
     "intervals that hold": "intervals_hold",
 }
 FAMILIES = ("ellipsoid", "foil", "morison", "second_robot")
-JUDGED_SEED = "seed 2"  # of the three trainings, the one judged in the solver's other waters
-EARLIER = "station-family of 2026-11-27"
-OTHER_WATERS = {  # row of a page -> water, policy and seed of the stored trials, one or two of them; else the row is the water
-    "reference, seeds 10; 11": [("reference-2", JUDGED_SEED, "10"), ("reference-2", JUDGED_SEED, "11")],
-    "2 cm, slip 1": [("paper slip 1", JUDGED_SEED, "9")],
-    "1.5 cm, slip 0.985": [("paper 1.5 cm slip 0.985", JUDGED_SEED, "9")],
-    "1 cm, slip 0.995; 0.985": [("window slip 0.995", JUDGED_SEED, "9"), ("window slip 0.985", JUDGED_SEED, "9")],
-    "reference, mass 20 % more; less (earlier)": [(f"reference-2, mass 20 % {off}", EARLIER, "9") for off in ("more", "less")],
-    "2 cm, slip 0.97, seeds 9; 10": [("paper slip 0.97", JUDGED_SEED, seed) for seed in ("9", "10")],
-    "2 cm, slip 0.97, seed 3": [("paper slip 0.97", "station-family", "9")],
-    "reference, at 0.35 and 0.4 m/s": [("reference-2, 0.35 and 0.4 m/s", JUDGED_SEED, "9")],
-    "2 cm, slip 1, at 0, 0.02 and 0.04 m/s": [("paper slip 1, 0 to 0.04 m/s", JUDGED_SEED, "9")],
+NAME = "station-family"
+OTHER_WATERS = {  # row of a page -> water and seed of the stored trials, one or two of them; else the row is the water
+    "reference, seeds 10; 11": [("reference-2", "10"), ("reference-2", "11")],
+    "2 cm, slip 1": [("paper slip 1", "9")],
+    "1.5 cm, slip 0.985": [("paper 1.5 cm slip 0.985", "9")],
+    "1 cm, slip 0.995; 0.985": [("window slip 0.995", "9"), ("window slip 0.985", "9")],
+    "reference, mass 20 % more; less": [(f"reference-2, mass 20 % {off}", "9") for off in ("more", "less")],
+    "2 cm, slip 0.97, seeds 9; 10": [("paper slip 0.97", "9"), ("paper slip 0.97", "10")],
+    "reference, at 0.35 and 0.4 m/s": [("reference-2, 0.35 and 0.4 m/s", "9")],
+    "2 cm, slip 1, at 0, 0.02 and 0.04 m/s": [("paper slip 1, 0 to 0.04 m/s", "9")],
 }
 FORCES = {"drag, N": "drag_N", "lateral, N": "lateral_N", "yaw, N m": "yaw_Nm"}
 
@@ -184,7 +182,7 @@ def front_page(label: str) -> list[float]:
     and that in the structured water [m]; `station` in the reference water and at slip 1 [m]; right names.
     """
     tables = {file.stem: json.loads(file.read_text(encoding="utf-8"))["results"] for file in JUDGED.glob("*.json")}
-    mine = {water: row["overall"] for water, rows in tables.items() for row in rows if row["controller"] == "station-family"}
+    mine = {water: row["overall"] for water, rows in tables.items() for row in rows if row["controller"] == NAME}
     arrived = sum(figures["arrival"]["value"] * figures["arrival"]["n"] for figures in mine.values())
     held = {water: figures["rmse_after_arrival"]["value"] for water, figures in mine.items()}
     structured = held.pop("structured")
@@ -202,12 +200,12 @@ def rivals(label: str) -> list[float]:
     trials: dict[str, dict] = {}
     for row in rows:
         trials.setdefault(row["controller"], {})[row["speed"], row["los_deg"]] = row
-    mine, better, p = trials.pop("station-family"), [], []
+    mine, better, p = trials.pop(NAME), [], []
     for key in ("rmse_after_arrival", "rmse_last20"):
         ours, *theirs = (np.array([float(swum[one][key] or "nan") for one in mine]) for swum in (mine, *trials.values()))
         better.append([difference(key, ours, x).low > 0 for x in theirs])
         p += list(holm([paired_p(ours, x) for x in theirs]))
-    key, swims = "rmse_after_arrival", {"station-family": mine} | trials
+    key, swims = "rmse_after_arrival", {NAME: mine} | trials
     figures = {name: {"figures": {key: column([swum[one] for one in mine], key)}} for name, swum in swims.items()}
     closed = gap_closed(figures, key)
     return [int(np.all(better, 0).sum()), len(trials), max(p), *(100 * x for x in (closed.value, closed.low, closed.high))]
@@ -215,9 +213,9 @@ def rivals(label: str) -> list[float]:
 
 def other_waters(label: str) -> list[float]:
     """`2 cm, slip 1` -> arrivals, trials, RMSE after arrival (one set: its interval), of the last 20 s, by speed, worst."""
-    wanted = OTHER_WATERS.get(label, [(label.replace("reference", "reference-2"), JUDGED_SEED, "9")])
-    rows = table(HERE / "training" / "rows" / "judged_station_family.csv")
-    sets = [[r for r in rows if (r["water"], r["controller"], r["seed"]) == one] for one in wanted]
+    wanted = OTHER_WATERS.get(label, [(label.replace("reference", "reference-2"), "9")])
+    rows = [row for row in table(HERE / "training" / "rows" / "judged_station_family.csv") if row["controller"] == NAME]
+    sets = [[r for r in rows if (r["water"], r["seed"]) == one] for one in wanted]
     arrived = [(int(column(some, "arrival").sum()), len(some)) for some in sets]
     if all(count == n for count, n in arrived):
         arrived = [(sum(count for count, _ in arrived), sum(n for _, n in arrived))]

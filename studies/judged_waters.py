@@ -88,7 +88,7 @@ CONDITIONS = {
     "at-target": Condition(
         "reference-2", "--reference --task angle_of_attack --speeds 0", 60, tables=(STILL,), repeats=2
     ),
-    "reference-3": Condition("reference-3", "--reference reference-3", 200, tables=(REFERENCE,)),
+    "reference-3": Condition("reference-3", "--reference reference-3", 111, tables=(REFERENCE,)),
     "low-reynolds": Condition("low-reynolds", "--reference low-reynolds", 600, tables=(REFERENCE,)),
 }  # fmt: skip
 
