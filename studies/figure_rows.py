@@ -178,15 +178,31 @@ def strengths(label: str) -> list[float]:
 
 
 def front_page(label: str) -> list[float]:
-    """Figures of the README: `station-family` in the reference water [m], arrivals of 360, least and largest RMSE in four fits
-    and that in the structured water [m]; `station` in the reference water and at slip 1 [m]; right names.
+    """Figures of the README: `station-family` in the reference water [m]; arrivals and trials at slip 0.97, least and greatest RMSE
+    in other waters and of other robots, RMSE at slip 0.97 [m]; arrivals of 360, least and greatest RMSE in four fits and that in
+    the structured water [m]; `station` in the reference water and at slip 1 [m]; right names.
     """
     tables = {file.stem: json.loads(file.read_text(encoding="utf-8"))["results"] for file in JUDGED.glob("*.json")}
     mine = {water: row["overall"] for water, rows in tables.items() for row in rows if row["controller"] == NAME}
     arrived = sum(figures["arrival"]["value"] * figures["arrival"]["n"] for figures in mine.values())
     held = {water: figures["rmse_after_arrival"]["value"] for water, figures in mine.items()}
     structured = held.pop("structured")
-    family = [judged("station-family, reference-2")[2], round(arrived), min(held.values()), max(held.values()), structured]
+    rows = [row for row in table(HERE / "training" / "rows" / "judged_station_family.csv") if row["controller"] == NAME]
+    swims = [row for row in rows if not any(word in row["water"] for word in ("0.97", "0 to 0.04", "gusts"))]
+    waters = [
+        [row for row in swims if (row["water"], row["seed"]) == one] for one in {(row["water"], row["seed"]) for row in swims}
+    ]
+    other = [float(column(some, "rmse_after_arrival").mean()) for some in waters]
+    slip = [row for row in rows if "0.97" in row["water"]]
+    others = [
+        column(slip, "arrival").sum(),
+        len(slip),
+        min(other),
+        max(other),
+        float(np.nanmean(column(slip, "rmse_after_arrival"))),
+    ]
+    reference = judged("station-family, reference-2")[2]
+    family = [reference, *others, round(arrived), min(held.values()), max(held.values()), structured]
     station = [judged(f"station, {water}")[2] for water in ("reference-2", "plain")]
     return [*family, *station, *second_robot("precision")[:3]]
 
