@@ -178,7 +178,7 @@ def strengths(label: str) -> list[float]:
 
 
 def front_page(label: str) -> list[float]:
-    """Figures of the README: `station-family` in the reference water [m]; arrivals and trials at slip 0.97, least and greatest RMSE
+    """Figures of the README: `station-family` in the reference water [m]; arrivals and trials at slip 0.97, least, greatest RMSE
     in other waters and of other robots, RMSE at slip 0.97 [m]; arrivals of 360, least and greatest RMSE in four fits and that in
     the structured water [m]; `station` in the reference water and at slip 1 [m]; right names.
     """
