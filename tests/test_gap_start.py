@@ -73,6 +73,8 @@ def test_lost_rows_of_commands_are_no_held_command(gait_log):
     other = rows_of(gait_log.__class__(gait_log.meta, unread, name="other"), "cmd", lambda t: (t < 2.0) | (t > 4.7))
     with pytest.raises(LogError, match="rows were lost"):
         record_of(other, 0.004)
+    with pytest.raises(LogError, match="rows were lost"):  # the joints' rows, too: their file lacks whole beats
+        record_of(rows_of(rows_of(gait_log, "cmd", gap), "joint", gap), 0.004)
     held = rows_of(gait_log, "cmd", lambda t: t < 2.0)  # an end is no pause
     assert len(record_of(held, 0.004).commands) > 2000
     assert not any(find.text for find in physical_checks.examine(rows_of(gait_log, "joint", gap), ["standing still"]))

@@ -146,12 +146,27 @@ def test_a_fast_beat_makes_the_lag_ambiguous_and_says_so():
 
 
 def test_the_yaw_that_recoils_against_the_joints_gives_the_camera_lag():
+    lag = next(lag for lag in recoiling(lambda t: 0.045).lags if lag.later == "pose")
+    assert lag.lag == pytest.approx(0.045, abs=0.003) and lag.correlation < -0.9
+
+
+def recoiling(late):
+    """A trial whose heading recoils against the first joint, `late(t)` s behind it."""
     trial = planted(0.02)
     t = np.arange(0.5, 23, 1 / 60)
-    recoil = -0.1 * np.interp(t - 0.045, trial.tables["joint"]["t"], trial.tables["joint"]["j1"])
+    recoil = -0.1 * np.interp(t - late(t), trial.tables["joint"]["t"], trial.tables["joint"]["j1"])
     trial.tables["pose"] = {"t": t, "x": 0.1 * t, "y": 0 * t, "yaw": recoil}
-    lag = next(lag for lag in timebase.audit(trial).lags if lag.later == "pose")
-    assert lag.lag == pytest.approx(0.045, abs=0.003) and lag.correlation < -0.9
+    return timebase.audit(trial)
+
+
+def test_a_heading_ahead_of_its_joint_has_another_clock():
+    assert any("pose moves" in text and "before joint" in text for text in recoiling(lambda t: -0.15).findings)
+    assert not any("pose moves" in text for text in recoiling(lambda t: 0.045).findings)
+
+
+def test_a_lag_that_changes_as_the_fish_gathers_way_is_no_drift():
+    lags = [recoiling(late) for late in (lambda t: 0.04 + 0.03 * np.exp(-t / 4), lambda t: 0.04 + 5e-3 * t)]
+    assert [any("pose drifts" in text for text in audit.findings) for audit in lags] == [False, True]
 
 
 def test_lost_and_repeated_rows_are_counted_from_numbers_or_from_steps():

@@ -42,6 +42,7 @@ STEADY = 0.01  # relative deviation over the windows below which frequency, ampl
 MOVING = 0.05  # of the median energy of a window; one with less tells no gain
 COUNTED = 5e-3  # jitter below this part of the step: stamps are a frame counter, not a clock
 DRIFT = 5e-5  # s/s; less is what two quartz clocks do
+SETTLES = 0.05  # s by which the heading's lag changes while a fish gathers way, with right clocks
 DELAYS = {"command_latency": "cmd", "camera_latency": "pose"}  # of a description's [timing]: the table that has it
 SAME_ROWS, OTHER_SPAN = 0.1, 0.2  # tables of equal length to 10 % whose spans differ by 20 %
 
@@ -459,7 +460,14 @@ def _lag_findings(lags: list[Lag]) -> list[str]:
                 f"joint moves {-1e3 * lag.lag:.0f} ms before cmd: one of the clocks is off; state its offset in the map, that"
                 " lead and the servo's true delay, which a shift by the lead alone removes"
             )
-        if lag.found and not lag.ambiguous and (lag.drift_low > 0 or lag.drift_high < 0) and abs(lag.drift) > DRIFT:
+        if lag.found and not lag.ambiguous and lag.later == "pose" and lag.high < EARLY:
+            out.append(
+                f"pose moves {-1e3 * lag.lag:.0f} ms before {lag.earlier}, and a heading follows: one of the clocks is off; state"
+                " its offset in the map"
+            )
+        least = max(lag.drift_low, -lag.drift_high, 0.0)  # s/s, of the interval's values that nearest to none
+        slips = least * lag.windows * WINDOW > (SETTLES if "pose" in (lag.earlier, lag.later) else 0.0)
+        if lag.found and not lag.ambiguous and slips and abs(lag.drift) > DRIFT:
             out.append(
                 f"{lag.later} drifts against {lag.earlier} by {1e3 * lag.drift:+.3f} ms/s: their clocks run at different rates"
             )

@@ -161,13 +161,17 @@ def _refuse_late(name: str, seen: dict[str, Sensor | None], still: float) -> Non
 
 
 def _refuse_lost(name: str, t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> None:
-    """Raises LogError for a pause of steady commands in which the joints go on, or after which they go on elsewhere."""
+    """Raises LogError for a pause of steady commands in which the joints go on, or after which the commands go on elsewhere.
+
+    Where the joints have no row in the pause either, commands that move right before and right after it were lost.
+    """
     step, moved = np.diff(t), np.abs(np.diff(commands, axis=0)).max(1)
     if len(step) < 8 or np.quantile(step, 0.75) > 1.5 * np.median(step):
         return
     for i in np.flatnonzero(step > max(LOST, 5 * np.median(step))):
-        seen = np.zeros((1, 1)) if joint is None else joint.values[(joint.t > t[i] + REST) & (joint.t < t[i + 1])]
-        swings = len(seen) > 1 and np.ptp(seen, 0).max() > 2 * STILL
+        seen = np.zeros((0, 1)) if joint is None else joint.values[(joint.t > t[i] + REST) & (joint.t < t[i + 1])]
+        beside = commands[(t >= t[i] - LOST) & (t <= t[i])], commands[(t >= t[i + 1]) & (t <= t[i + 1] + LOST)]
+        swings = np.ptp(seen, 0).max() > 2 * STILL if len(seen) > 1 else min(np.ptp(c, 0).max() for c in beside) > 2 * STILL
         if swings or moved[i] > JUMP * max(np.quantile(moved, 0.9), STILL):
             raise LogError(
                 f"trial {name}: no commands for {step[i]:.3g} s from t = {t[i]:.4g} s on, and they were not held: rows were lost,"
