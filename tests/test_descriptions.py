@@ -24,6 +24,7 @@ from fishmj.mjcf import description_schema, load_robot
 from fishmj.mjcf.description import RigSpec
 from fishmj.mjcf.identity import robot_sha256
 from fishmj.mjcf.reading import robot_from_dict
+from fishmj.mjcf.validation import examine
 from fishmj.sim import Sim
 from fishmj.water.hydro_model import HydroModel, robot_hash
 
@@ -196,6 +197,30 @@ def test_keys_that_do_not_fit_together_are_refused(tmp_path, place, value, told)
 
 def test_there_are_more_than_a_hundred_generated_bad_descriptions():
     assert len(singles()) > 400
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("range_deg", 1.0472, r"range_deg: got 1\.0472 deg.* range = 1\.0472 if it is in rad"),
+        ("range_deg", 0.1, r"range_deg: got 0\.1 deg"),
+        ("range", 60.0, r"range: got 60.*60 deg is 1\.047 rad"),
+        ("speed_no_load", 300.0, r"speed_no_load: got 300.*, expected a number from 0\.01 to 100 rad/s;.* 300 deg/s is 5\.236 "),
+    ],
+)
+def test_an_angle_of_the_servo_in_the_other_unit_is_told_so(key, value, told):
+    table = whole()
+    table["servo"] = {k: v for k, v in table["servo"].items() if not key.startswith(k.removesuffix("_deg"))} | {key: value}
+    lines, _ = examine(table, "x.toml")
+    assert len(lines) == 1 and re.search(told, lines[0]) and "kp" not in lines[0], lines
+
+
+def test_a_gain_is_not_blamed_for_a_range_or_a_resolution():
+    for key, small in (("range", 0.01), ("resolution", 0.3)):
+        table = whole()
+        table["servo"].pop(f"{key}_deg")
+        table["servo"][key] = small
+        assert f"[servo] {key}: got {small:g} rad (" in notes(table) and "[servo] kp" not in notes(table)
 
 
 @pytest.mark.parametrize("word", ["masss", "legnth", "colur"])

@@ -33,6 +33,7 @@ BY_HAND = [
     (replace(BASE, links=(replace(BASE.links[0], com=(0.07, 0.01, 0.0)), *BASE.links[1:])), "y = 0"),
     (replace(BASE, servo=Servo(kd=0.1)), r"\[servo\] kd: got 0.1"),
     (replace(BASE, servo=Servo(range=100.0)), r"\[servo\] range: got 100"),
+    (replace(BASE, servo=Servo(speed_no_load=300.0)), r"\[servo\] speed_no_load: got 300.*300 deg/s is 5.236 rad/s"),
     (replace(BASE, timing=Timing(physics_dt=0.0)), r"\[timing\] physics_dt: got 0"),
     (replace(BASE, timing=Timing(bus_dt=0.021)), "nearest valid bus_dt"),
     (replace(BASE, fins=(Fin(name="f", link="none", station=(0.0, 0.1), span=0.1),)), "a link that exists"),

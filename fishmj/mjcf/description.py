@@ -17,6 +17,7 @@ COMMAND_PATHS = ("linear", "hold", "move_time")
 CELL = (3.2, 3.7, 4.2)  # V of a LiPo cell: under load, below which it is damaged; nominal; full
 LOW_SHARE = CELL[0] / CELL[1]  # of the servos' voltage, where it is not one of LiPo cells
 WATER_NEEDS = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke", "lift_a", "lift_b", "stall_angle", "stall_width", "stall_lag")
+FASTEST = 100.0  # rad/s, twice the 456 rev/min at 6 V of ROBOTIS XL330-M077-T (e-Manual), the fastest servo on record here
 LIFT_ROUNDED = 1e-6  # lift_a and lift_b are written in nine digits, so that a fitted sum of 0.5 may be less
 
 

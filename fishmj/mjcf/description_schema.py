@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from fishmj.base import names
+from fishmj.mjcf.description import FASTEST
 
 SCHEMA: Literal["fishmj.fish/1"] = "fishmj.fish/1"
 MOST_LINKS = 12  # XLA compiles the closed form of 8 links in 13 s, of 12 in 76 s, of 16 not within 5 minutes (2 CPU cores)
@@ -133,7 +134,7 @@ class ServoBlock(TomlTable):
     kp: float | None = number("proportional gain", 1e-4, 1e6, "N m/rad", default=None)
     kd: float | None = number("damping in all, at least kb = torque / speed_no_load", 1e-6, 1e5, "N m s/rad", default=None)
     torque: float | None = number("at stall, at the output", 1e-4, 1e5, "N m", default=None)
-    speed_no_load: float | None = number("at the output", 1e-2, 1000.0, "rad/s", default=None)
+    speed_no_load: float | None = number("at the output", 1e-2, FASTEST, "rad/s", default=None)
     voltage: float | None = number("for power only", 0.1, 1000.0, "V", default=None)
     resistance: float | None = number("for power only", 1e-4, 1e5, "ohm", default=None)
     constant: float | None = number("of the motor seen at the output, for power only", 1e-5, 1e4, "V s/rad", default=None)

@@ -11,7 +11,7 @@ from typing import Any
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
 from fishmj.base.plain_file import why_unreadable
-from fishmj.mjcf.description import LIFT_ROUNDED, Timing
+from fishmj.mjcf.description import LIFT_ROUNDED, Servo, Timing
 from fishmj.mjcf.description_schema import KeyFault, shown
 from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 
@@ -177,8 +177,6 @@ def angle(given: Mapping[str, Any], key: str, default: float) -> float:
 
 def servo_of(given: Mapping[str, Any]) -> dict[str, float]:
     """All figures of a [servo] block, with the default servo's for missing ones; angles in rad."""
-    from fishmj.mjcf.description import Servo
-
     plain = vars(Servo())
     return {
         key: angle(given, key, value) if key in ("range", "resolution") else given.get(key, value) for key, value in plain.items()
@@ -188,7 +186,7 @@ def servo_of(given: Mapping[str, Any]) -> dict[str, float]:
 def _servo(given: Mapping[str, Any]) -> Iterator[KeyFault]:
     for key in ("range", "resolution"):
         yield from _both("servo", given, key)
-    s = servo_of(given)
+    s, wide = servo_of(given), given.get("range_deg")
     kb = s["torque"] / s["speed_no_load"]
     if s["kd"] < kb * (1 - 1e-4):
         default = "" if "kd" in given else ", the default fish's, since none is given"
@@ -196,13 +194,26 @@ def _servo(given: Mapping[str, Any]) -> Iterator[KeyFault]:
         figures = f"torque ({s['torque']:g} N m) or speed_no_load ({s['speed_no_load']:g} rad/s)"
         todo = f"{_of_a_data_sheet(s)}raise kd to {kb:.4g} or more, or correct {figures}"
         yield KeyFault("servo", None, "kd", f"{s['kd']:g} N m s/rad{default}", expected, todo)
+    if wide is not None and wide <= pi:
+        expected = "more than 3.14159 deg: so small a number may be in rad"
+        todo = f"write range = {wide:g} if it is in rad, range = {radians(wide):.4g} if in deg"
+        yield KeyFault("servo", None, "range_deg", f"{wide:g} deg", expected, todo)
+        return
     if s["resolution"] >= s["range"]:
         got, expected = f"{s['resolution']:.4g} rad", f"less than the range, {s['range']:.4g} rad"
         yield KeyFault("servo", None, "resolution", got, expected, "it is one count of the encoder")
     if s["kp"] * s["range"] < 0.01 * s["torque"]:
         expected = f"kp times range at least 1 % of the torque, {s['torque']:g} N m"
-        todo = "the servo would hardly hold itself; check kp, in N m/rad"
-        yield KeyFault("servo", None, "kp", f"{s['kp']:g} N m/rad", expected, todo)
+        key, got, unit = _blamed(s, "range")
+        yield KeyFault("servo", None, key, got, expected, f"the servo would hardly hold itself; check {key}, in {unit}")
+
+
+def _blamed(s: Mapping[str, float], key: str) -> tuple[str, str, str]:
+    """(key, value, unit) of the odd one in kp times an angle, range or resolution: the angle, if kp suits that of most servos."""
+    usual = s["kp"] * getattr(Servo(), key) / s["torque"]
+    if usual >= 0.2 if key == "range" else usual <= 1.0:
+        return key, f"{s[key]:.4g} rad ({degrees(s[key]):.4g} deg)", "rad, or deg with _deg behind its name"
+    return "kp", f"{s['kp']:g} N m/rad", "N m/rad"
 
 
 def _of_a_data_sheet(s: Mapping[str, float]) -> str:
@@ -432,10 +443,9 @@ def _unlikely_servo(s: Mapping[str, float]) -> Iterator[KeyFault]:
         if not b / MOTOR <= a <= b * MOTOR:
             got, expected = f"{left} = {a:.3g} {unit}", f"about {right} = {b:.3g} {unit}"
             yield KeyFault("servo", None, key, got, expected, "the figures are not of one motor; power will be wrong")
-    gain = f"{s['kp']:g} N m/rad"
     if s["kp"] * s["range"] < 0.2 * s["torque"]:
         expected, todo = "kp times range nearer to the torque", "the servo never gives a fifth of its torque"
-        yield KeyFault("servo", None, "kp", gain, expected, todo)
+        yield KeyFault("servo", None, *_blamed(s, "range")[:2], expected, todo)
     if s["kp"] * s["resolution"] > s["torque"]:
         expected, todo = "kp times resolution below the torque", "one count of error gives full torque: the joint will chatter"
-        yield KeyFault("servo", None, "kp", gain, expected, todo)
+        yield KeyFault("servo", None, *_blamed(s, "resolution")[:2], expected, todo)

@@ -7,6 +7,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from math import radians
 from typing import Any
 
 from pydantic import ValidationError
@@ -143,7 +144,9 @@ def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
     if isinstance(value, str) and kind in ("float_type", "int_type"):
         return "write the number without quotes"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal") and unit:
-        return f"check the number and its unit, {unit} ({what})"
+        turned = kind == "less_than_equal" and unit in ("rad", "rad/s") and isinstance(value, int | float)
+        deg = f": {value:g} {unit.replace('rad', 'deg')} is {radians(value):.4g} {unit}" if turned else ""
+        return f"check the number and its unit, {unit}{deg} ({what})"
     return f"correct it ({what})"
 
 
