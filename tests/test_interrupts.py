@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fishmj import evaluate
-from fishmj.base import console, interrupt
+from fishmj.base import console, interrupt, store
 from fishmj.evaluate import __main__ as judge
 from fishmj.hydro_fit.fit.training_loop import Loop
 
@@ -82,6 +82,28 @@ with interrupt.keeping(lambda: "x holds it; go on with y"):
     out, err = process.communicate(timeout=600)
     assert process.returncode == 143 and err.splitlines() == ["fishmj: terminated; x holds it; go on with y"]
     assert json.loads(out) == {"error": "terminated; x holds it; go on with y", "kind": "KeyboardInterrupt", "exit": 143}
+
+
+def test_fault_13_a_training_that_compiles_says_what_is_kept(tmp_path):
+    body = """
+from fishmj.train import __main__ as train
+from fishmj.train.planned_runs import PlannedRun
+def compiles(argv, under_way):
+    under_way += [PlannedRun(None, Path("run"))] if "--out" in argv else []
+    open("begun", "w").close()
+    time.sleep(60)
+train._train = compiles
+return train.main(argv)
+"""
+    nothing = "nothing was learnt yet; start again with: fishmj"
+    held = "run holds what was learnt; go on with: fishmj train --out run --resume"
+    for argv, told in ((["--preset", "quick"], f"{nothing} --preset quick"), (["--out", "run", "--force"], held)):
+        process = begun(tmp_path, f"from pathlib import Path{body}", *argv)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=600)
+        assert process.returncode == 130 and err.splitlines() == [f"fishmj: interrupted; {told}"]
+        store.Checkpoints(tmp_path / "run" / "checkpoints").save(256, {"a": np.zeros(1)}, {})
+        (tmp_path / "begun").unlink()
 
 
 def test_fault_13_a_loop_that_stops_by_itself_says_its_own_last_line(tmp_path):

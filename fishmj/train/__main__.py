@@ -6,14 +6,16 @@ import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
-from fishmj.base import console, ray_cluster
+from fishmj.base import console, interrupt, ray_cluster
 from fishmj.base.errors import ConfigError
 from fishmj.mjcf.reading import load_robot
 from fishmj.train.planned_runs import (
     PlannedRun,
     check_distinct,
     grid_points,
+    kept_words,
     point_folder,
+    resumed,
     sweep_table,
     train_here,
     train_over_ray,
@@ -343,6 +345,13 @@ def check_folders(args, folders: list[Path]) -> None:
 
 def main(argv: list[str]) -> int:
     """Runs the verb `train`; returns the exit code."""
+    under_way: list[PlannedRun] = []
+    with interrupt.keeping(lambda: kept_words(under_way, argv)):
+        return _train(argv, under_way)
+
+
+def _train(argv: list[str], under_way: list[PlannedRun]) -> int:
+    """Checks the command and trains; `under_way` receives the runs before the first one compiles."""
     parser = options()
     args = parser.parse_args(argv)
     from fishmj.control.policy_meta import one_line
@@ -382,6 +391,7 @@ def main(argv: list[str]) -> int:
     if args.force and not args.resume:
         for folder in dict.fromkeys(run.folder for run in runs):
             shutil.rmtree(folder, ignore_errors=True)
+    under_way += runs
     typed, first = one_line(shlex.join(["fishmj", "train", *argv])), runs[0]
     if args.together:
         from fishmj.train.multi_seed import train_together
@@ -445,8 +455,7 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         if args.together:
             more = f"the policies so far are in {Path(last['folder']).parent}; --together cannot go on"
         elif len(runs) > 1:
-            words = ["fishmj", "train", *(argv if args.resume else [*(word for word in argv if word != "--force"), "--resume"])]
-            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {shlex.join(words)}"
+            more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {resumed(argv)}"
         console.warn(f"interrupted; {more}")
     for run, r in zip(runs, results, strict=False):
         if "failed" in r:
@@ -476,10 +485,8 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         table = sweep_table(runs, results)
         result["sweep"] = table
         write_json(runs[0].folder.parents[1 if args.seeds and len(args.seeds) > 1 else 0] / "sweep.json", result)
-        rows, points = table["rows"], table["points"]
-        console.say("", console.table(rows, list(dict.fromkeys(key for row in rows for key in row))))
-        console.say("", "means over the seeds, on the tuning flows")
-        console.say(console.table(points, list(dict.fromkeys(key for row in points for key in row))))
+        shown = lambda rows: console.table(rows, list(dict.fromkeys(key for row in rows for key in row)))
+        console.say("", shown(table["rows"]), "", "means over the seeds, on the tuning flows", shown(table["points"]))
         if best := table["best"]:
             names = [r["policy"] for run, r in zip(runs, results, strict=False) if run.point == best["point"]]
             again = "judge it on other draws with: fishmj evaluate"

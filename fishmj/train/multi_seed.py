@@ -40,7 +40,9 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
     bar.stage("compiling the first iteration")
     done, episodes, dropped = 0, 0.0, 0.0
     next_look = settings.assess_every
-    with stop_on_signal(lambda: f"the best policies so far are in {folder}; --together cannot go on") as asked, bar:
+    best = f"the best policies so far are in {folder}; --together cannot go on"
+    kept = lambda: best if any(lane.best for lane in lanes) else "nothing was learnt yet; start again with --force"
+    with stop_on_signal(kept) as asked, bar:
         while done < settings.steps and not asked:
             training, figures = iterate(training)
             done += learner.steps_per_iteration

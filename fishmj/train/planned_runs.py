@@ -7,6 +7,7 @@ command ended goes on from its newest checkpoint.
 import argparse
 import json
 import re
+import shlex
 from collections import deque
 from collections.abc import Iterator, Sequence
 from copy import copy
@@ -186,6 +187,19 @@ def steps_of(folder: Path) -> int:
         except ValueError:  # a line that is being written
             continue
     return 0
+
+
+def resumed(argv: Sequence[str]) -> str:
+    """Command that goes on with what `fishmj train *argv` began."""
+    words = [word for word in argv if word not in ("--force", "--resume")]
+    return shlex.join(["fishmj", "train", *words, "--resume"])
+
+
+def kept_words(runs: Sequence[PlannedRun], argv: Sequence[str]) -> str:
+    """Text of an interrupt while nothing trains, such as during compilation: what is kept of the runs, and how to go on."""
+    if kept := [run.folder for run in runs if run.begun]:
+        return f"{', '.join(map(str, kept))} hold{'' if kept[1:] else 's'} what was learnt; go on with: {resumed(argv)}"
+    return f"nothing was learnt yet; {interrupt.again('go on' if '--resume' in argv else 'start again')}"
 
 
 def sweep_table(runs: Sequence[PlannedRun], results: Sequence[dict]) -> dict:
