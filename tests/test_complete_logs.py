@@ -206,7 +206,7 @@ def test_a_judged_trial_is_complete(result, tmp_path):
     )
     for trial in log.read_dataset(tmp_path):
         assert set(trial.tables) == TABLES | {"action"} and missing(trial) <= UNTOLD
-        assert trial.value("sigma.x") == 0.005 and trial.value("start") == pytest.approx(trial.value("start"))
+        assert trial.value("sigma.x") == 0.005 and trial.value("timing") == {"control_dt": 0.2, "command_path": "linear"}
         record = record_of(trial, 0.004)
         assert record.joint is not None and record.pose is not None and record.placed is not None
         late = trial.value("latency.pose")

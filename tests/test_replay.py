@@ -191,6 +191,25 @@ def test_another_robot_is_refused_and_other_numbers_are_said(trial, robot, tmp_p
     assert "another structure" in capsys.readouterr().err and not (tmp_path / "r.html").exists()
 
 
+def test_a_log_of_a_robot_with_another_timing_is_of_the_same_description(trial, robot):
+    quick = replace(robot, timing=replace(robot.timing, control_dt=0.1, command_path="hold"))
+    timing = {"control_dt": 0.1, "command_path": "hold"}
+    swum = log.Trial({**trial.meta, **identity(quick), "timing": timing}, trial.tables, name="a")
+    assert unlike(swum, robot) == ""
+    stiffer = replace(robot, servo=replace(robot.servo, kp=9.0))
+    assert unlike(swum, stiffer).endswith(": the same body, but other masses, servo, timing or effects")
+
+
+def test_a_log_that_fishmj_wrote_is_replayed_without_a_remark(trial, tmp_path, capsys):
+    tables = {**trial.tables, "cmd": {**trial.tables["cmd"], "asked1": trial.tables["cmd"]["c1"]}}
+    meta = {key: value for key, value in trial.meta.items() if key not in ("source", "replicate_of", "sigma")}
+    for source, said in (("fishmj deploy swim", False), ("a camera", True)):
+        log.write_trial(tmp_path / source, log.Trial({**meta, "source": source}, tables))
+        assert main([str(tmp_path / source), "--png", str(tmp_path / "a.png")]) == 0
+        err = capsys.readouterr().err
+        assert ("'asked1' is not in the schema" in err, "meta.toml: missing " in err) == (said, said), err
+
+
 @pytest.fixture
 def deep_tail(tmp_path):
     """A description of the name of a shipped one, with another tail."""

@@ -46,6 +46,7 @@ def trial_of(r: Result, i: int) -> Trial:
         "schema": SCHEMA,
         "origin": "synthetic",
         **identity(r.robot),
+        "timing": {key: getattr(r.robot.timing, key) for key in ("control_dt", "command_path")},  # of options, too
         "medium": "water",
         "flow": {**asdict(flow), "known": True},
         "water": r.water,

@@ -216,6 +216,7 @@ def meta_of(args: Any, robot: Robot, controller: LearnedController | None, wired
         "water": "loopback" if wired.loopback else "tank",
         "flow": {"speed": speed, "direction": direction, "known": args.flow is not None},
         "excitation": "policy" if controller else args.gait.name,
+        "replicate_of": "",
         "controller": controller.name if controller else "open loop",
         "policy_sha256": controller.sha256 if controller else "",
         "target": list(args.target),

@@ -101,7 +101,7 @@ def unlike(trial: Trial, robot: Robot) -> str:
     Raises ConfigError: the trial is of a robot of another structure.
     """
     name, total, joints = (trial.value(key) for key in ("robot", "robot_sha256", "joints"))
-    if not name or total == robot_sha256(robot):
+    if not name or total in (robot_sha256(robot), robot_sha256(_timed(robot, trial))):
         return ""
     shipped, log = robot_called(name), f"{trial.name or 'trial'}: the log is of robot {str(name)[:64]!r}"
     own = load_robot(shipped) if shipped else None
@@ -115,7 +115,15 @@ def unlike(trial: Trial, robot: Robot) -> str:
         raise ConfigError(f"{log}, not to be drawn as {robot.name!r} of another structure: {other}; name its own with --robot")
     if name == robot.name and total is None:
         return ""
-    return f"{log}{_sum(total)}, drawn as {robot.name!r}{_sum(robot_sha256(robot))}: not the same description"
+    same = trial.value("body_sha256") == body_sha256(robot)
+    apart = "the same body, but other masses, servo, timing or effects" if same else "not the same description"
+    return f"{log}{_sum(total)}, drawn as {robot.name!r}{_sum(robot_sha256(robot))}: {apart}"
+
+
+def _timed(robot: Robot, trial: Trial) -> Robot:
+    """The robot with the control step and command path of the trial, which options of a command may have changed."""
+    given = {key: value for key in ("control_dt", "command_path") if (value := trial.value(f"timing.{key}")) is not None}
+    return replace(robot, timing=replace(robot.timing, **given))
 
 
 def _sum(total: object) -> str:
