@@ -115,6 +115,15 @@ def test_a_training_in_the_flow_solver_asks_where_there_is_no_gpu(monkeypatch):
     training.agree([settled(change(PRESETS["lbm"], steps=10, solver={"domain": "laptop"}))], together=False, yes=False)
 
 
+@pytest.mark.parametrize("name", ["laptop", "laptop_refined", "window_refined_twice"])
+def test_one_estimate_of_the_solver_counts_the_finer_boxes_once(name):
+    box = preset(name)
+    each = [solver.cpu_seconds([(level, 10.0)], 2) for level in box.levels]
+    assert solver.cpu_seconds([(box, 10.0)], 2) == pytest.approx(sum(each)) and len(each) == name.count("_") + 1
+    with pytest.raises(TooMuch, match="100000 s of water"):
+        solver.agree("a", "auto", [(preset("laptop_refined"), 1e5)], instead="less")
+
+
 def test_the_memory_of_a_training_is_that_of_its_arrays():
     """What the program allocates for one iteration, as its compiler counts."""
     from fishmj.train.training_run import learner_of

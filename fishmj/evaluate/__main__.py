@@ -154,7 +154,7 @@ def main(argv: list[str]) -> int:
         less = "--domain laptop --repeats 1 --speeds 0.2 --los 0 --duration 10 is a preview"
         edge = {"boundary": args.boundary, "storage": args.storage, "dx": args.dx}
         args.solver = asked_for("evaluate", args.reference, args.domain, args.slip, **edge)
-        work = [(level, trials.duration * len(trials) * len(brains)) for level in args.solver.box.levels]
+        work = [(args.solver.box, trials.duration * len(trials) * len(brains))]
         if not args.ray:
             solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
         begin(water, brains, f": {args.solver.said}")
@@ -250,7 +250,7 @@ def hybrid_options(args, robot, trials, brains: int):
     made = HybridOptions(**asked | ({} if args.every is None else {"every": args.every}))
     segments = max(0, 1 + (trials.duration - made.first - made.lead - made.span) // made.every) * len(trials) * brains
     less = "--domain laptop is a preview; --repeats 1 --speeds 0.2 --los 0 is one trial"
-    work = [(level, segments * (made.lead + made.span)) for level in preset(made.solver(robot).domain).levels]
+    work = [(preset(made.solver(robot).domain), segments * (made.lead + made.span))]
     if not args.ray:
         solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
     return made

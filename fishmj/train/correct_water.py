@@ -115,7 +115,7 @@ def affordable(settings: Settings, args) -> None:
     model = first_water(settings, args.slip)
     water = args.rounds * EPISODES * (SECONDS + dagger.SHORT)
     less = "take fewer --rounds; --domain laptop is a preview"
-    work = [(level, water) for level in water_of_fit(model.dataset, model.slip, args.domain).box.levels]
+    work = [(water_of_fit(model.dataset, model.slip, args.domain).box, water)]
     solver_cost.agree("train --correct", args.device or "auto", work, instead=less, flag="--yes", asked=args.yes)
 
 

@@ -43,7 +43,7 @@ def agree(runs: Sequence[Settings], *, together: bool, yes: bool, devices: int =
     less = "take fewer --envs, a shorter --memory"
     cost.memory("train", max(needs), sizes, instead=less, flag="--yes", agreed=yes, there=_memory())
     if settings.engine == LBM:
-        work = [(level, s.steps * s.control_dt) for s, _ in estimated for level in preset(s.solver["domain"]).levels]
+        work = [(preset(s.solver["domain"]), s.steps * s.control_dt) for s, _ in estimated]
         asked: dict[str, Any] = {"instead": "take fewer --steps; --domain laptop is a preview", "flag": "--yes", "asked": yes}
         return solver_cost.agree("train", settings.solver["device"], work, tanks=config.envs, **asked)
     algorithms = ", ".join(dict.fromkeys(s.algo for s, _ in estimated))

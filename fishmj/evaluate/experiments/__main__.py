@@ -117,7 +117,7 @@ def agree(setup: ExperimentSetup, seconds: float) -> None:
     if setup.solver is not None:
         from fishmj.lbm_oracle.run import solver_cost
 
-        work = [(level, seconds) for level in setup.solver.box.levels]
+        work = [(setup.solver.box, seconds)]
         solver_cost.agree("experiments", setup.device, work, instead="--quick, or the fitted water", tanks=setup.tanks)
 
 

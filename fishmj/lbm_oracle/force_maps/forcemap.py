@@ -62,7 +62,7 @@ def main(argv: list[str]) -> int:
     left = [p for p in points if not (p in book.rows and (not _pictured(args, p) or slice_path(out, p).exists()))]
     tick = robot.timing.bus_dt
     seconds = lambda point: sum(plan.ticks(point.speed, tick)) * tick
-    held = [(level, seconds(point)) for point in left for level in domain.levels]
+    held = [(domain, seconds(point)) for point in left]
     less = "take fewer --speeds and --angles, --what joint, a coarser --dx; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle forcemap", args.device, held, instead=less, tanks=min(args.tanks, len(left)))
     if args.domain in PREVIEWS:

@@ -179,7 +179,7 @@ def main(argv: list[str]) -> int:
     cruise_s = args.beats / Gait.of_the_paper().frequency
     seconds = lambda key: cruise_s if key.what == "cruise" else held_s
     domain = partial(box, args.domain, nu=args.nu)
-    runs = [(level, seconds(key)) for key in left for level in domain(key).levels]
+    runs = [(domain(key), seconds(key)) for key in left]
     less = "take coarser --grids, fewer --parts and --slips; --domain laptop is a preview"
     solver_cost.agree("lbm_oracle converge fish", args.device, runs, instead=less)
     devices = devices_of(args.device)

@@ -171,7 +171,7 @@ def main(argv: list[str]) -> int:
     left = [(swim, slip) for swim in real for slip in args.slips if (swim.beat, slip) not in book.rows]
     water = sum(args.beats / swim.beat for swim, _ in left)
     less = "take fewer --slips, --swims or --beats; --domain laptop is a preview"
-    work = [(level, water) for level in domain.levels] if left else []
+    work = [(domain, water)] if left else []
     solver_cost.agree("lbm_oracle real_fish", args.device, work, instead=less, tanks=min(args.tanks, max(len(left), 1)))
     if domain.name in PREVIEWS:
         console.say(f"{domain.name} is a preview: dx = {domain.dx} m is too coarse for a judgement")

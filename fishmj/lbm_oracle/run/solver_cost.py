@@ -13,12 +13,13 @@ from fishmj.lbm_oracle.run.domain import Domain
 RATE = 1.0e7  # cells a core updates in a second round a swimming fish, on two idle ones (docs/solver/results.md, Speed)
 UNASKED = 3600.0  # s of a CPU that `--device auto` begins without being asked
 
-Work = Iterable[tuple[Domain, float]]  # boxes, and s of water in each
+Work = Iterable[tuple[Domain, float]]  # boxes with the finer ones in them, and s of water in each
 
 
 def cpu_seconds(work: Work, cores: int = 0) -> float:
     """Wall-clock time [s] on so many cores, by default those of this machine."""
-    return sum(prod(box.shape) * water / box.dt for box, water in work) / (RATE * min(cores or usable_cores(), MOST))
+    steps = (prod(level.shape) * water / level.dt for box, water in work for level in box.levels)
+    return sum(steps) / (RATE * min(cores or usable_cores(), MOST))
 
 
 def agree(
@@ -36,10 +37,11 @@ def agree(
     work = list(work)
     if device.startswith("cuda") or not work:
         return
-    need = BYTES_PER_CELL * max(prod(box.shape) for box, _ in work)
+    largest = max(prod(level.shape) for box, _ in work for level in box.levels)
+    need = BYTES_PER_CELL * largest
     if device == "auto" and accelerator(need):
         return
-    cells = f"boxes of up to {max(prod(box.shape) for box, _ in work) / 1e6:.3g} M cells"
+    cells = f"boxes of up to {largest / 1e6:.3g} M cells"
     cost.memory(verb, need * tanks, f"{tanks} x {cells}", instead="take a coarser grid or fewer --tanks")
     water = sum(water for _, water in work)
     why = f"on {usable_cores()} cores, and no accelerator was found"

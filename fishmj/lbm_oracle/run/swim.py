@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     stage = _stage(args)
     less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
-    solver_cost.agree("lbm_oracle swim", args.device, [(level, seconds) for level in stage.domain.levels], instead=less)
+    solver_cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
     run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         snapshot.load(args.start, run.coupled)

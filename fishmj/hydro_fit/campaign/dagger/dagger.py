@@ -308,7 +308,7 @@ def main(argv: list[str]) -> int:
     warn_of_two_waters(first, tank)
     water = args.rounds * args.episodes * args.seconds
     less = "take fewer --rounds and --episodes; --domain laptop is a preview"
-    work = [(level, water) for level in tank.box.levels]
+    work = [(tank.box, water)]
     solver_cost.agree("hydro_fit correct", args.device, work, instead=less, tanks=args.tanks or 1)
     devices = devices_of(args.device)
     setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)

@@ -297,8 +297,7 @@ def run(args: argparse.Namespace) -> int:
         water = sum(segment.water for segment in missing(plan, out, args.retry))
         less = "take a smaller --scale, --domain laptop, --ray elsewhere, or --preview for a little"
         asked: dict[str, Any] = {"instead": less, "flag": GO, "asked": args.budget is not None}
-        work = [(level, water) for level in domain.levels]
-        solver_cost.agree("hydro_fit collect", args.device, work, tanks=args.tanks or 1, **asked)
+        solver_cost.agree("hydro_fit collect", args.device, [(domain, water)], tanks=args.tanks or 1, **asked)
     devices = (ray_device(args.device),) if args.ray else devices_of(args.device)
     setup = Setup(robot=robot, domain=domain, device=devices[0], sharpness=edge)
     say_plan(plan, robot, domain)
@@ -327,7 +326,7 @@ def say_cost(plan: CampaignPlan, out: Path, domain: Domain, boundary: str, args:
     water = sum(segment.water for segment in left)
     place = {"out": str(out), "domain": domain.name, "boundary": boundary}
     words = ", ".join(f"{key} {value}" for key, value in place.items())
-    there = console.duration(solver_cost.cpu_seconds([(level, water) for level in domain.levels]))
+    there = console.duration(solver_cost.cpu_seconds([(domain, water)]))
     console.say(f"{words}: {len(left)} segments to solve, {water:.0f} s of water; on this machine's CPU about {there}")
     if args.json:
         told = {"plan": plan.label, "water_s": plan.water, "left_s": water, "blocks": plan.rows(), **place}
