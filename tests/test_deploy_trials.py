@@ -350,6 +350,8 @@ def test_tables_need_no_robot_and_know_which_it_was(tmp_path, monkeypatch, capsy
     assert trials_command.main([*asked, "--tables", "--out", str(tmp_path / "s"), "--json"]) == console.OK
     told, err = capsys.readouterr()
     found = json.loads(told.splitlines()[-1])
+    trained = found["results"][0]["policy"]
+    assert trained["robot"] == "swift" and "seed" in trained and "water" not in trained["differs"]
     assert [r["controller"] for r in found["results"]] == ["station, robot"] and "no comparison with other waters: scipy" in err
     assert "on the robot in its tank" in found["condition"] and "fishmj replay" in (tmp_path / "s" / "report.html").read_text()
     assert (tmp_path / "s" / "trials" / "manifest.json").is_file() and found["missing"] == []
@@ -442,6 +444,7 @@ def test_lockstep_trials_write_tables_and_compare_with_another_water(tmp_path, c
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert [r["controller"] for r in told["results"]] == ["station, loopback robot", "station, fitted"]
     assert "fitted: 4 trials, water swift" in (out / "report.html").read_text()
+    assert told["results"][0]["policy"]["robot"] == "swift" and told["results"][1]["policy"] is None, "no results of its own"
 
 
 def test_a_direction_beyond_a_turn_is_refused_where_it_is_typed(capsys):

@@ -65,16 +65,19 @@ class LearnedController:
         named = f": name that one, {option} {file}; or" if option else ";"
         return f"it was trained for {shown(own)}{named} {OTHERS}" if own != robot.name else OTHERS
 
-    def trained(self, robot: Robot | None = None) -> dict:
+    def trained(self, robot: Robot | None = None, *, in_tank: bool = False) -> dict:
         """Training of the policy and differences here, in plain types for results and logs.
 
         Args:
             robot: in its water; by default the robot for which the policy was made.
+            in_tank: the water is a tank's, which is what it is: not compared.
         Returns:
             the header's values of TOLD, "differs": {what: [there, here]}, "said": that in one clause, "lacks": [what]
         """
         found = self._fit(robot or self.robot)
         told = {key: self.policy.meta[key] for key in TOLD if self.policy.meta.get(key) is not None}
+        if in_tank:
+            found = found._replace(differs={key: both for key, both in found.differs.items() if key != "water"})
         differs = {key: list(both) for key, both in found.differs.items()}
         return {**told, "differs": differs, "said": found.said, "lacks": list(found.lacks)}
 

@@ -136,9 +136,8 @@ def undisturbed() -> Iterator[None]:
 
 def warn_of_training(controller: LearnedController, robot: Robot) -> None:
     """Prints the differences between the policy's training and this robot."""
-    for what, (there, here) in controller.trained(robot)["differs"].items():
-        if what != "water":  # that of a tank is what it is
-            console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
+    for what, (there, here) in controller.trained(robot, in_tank=True)["differs"].items():
+        console.warn(f"policy {controller.name}: trained with another {what} ({there}, here {here})")
 
 
 def pilot_of(args: Any, robot: Robot) -> tuple[LearnedController | None, Pilot]:

@@ -282,6 +282,7 @@ def tables(
     engine = trials_tables.LOOPBACK if simulated else trials_tables.TANK
     name = f"{controller.name}, {'loopback robot' if simulated else 'robot'}"
     own = trials_tables.result_of(name, controller.sha256, robot, trials, places, logs, engine)
+    own = own._replace(policy=controller.trained(robot, in_tank=True))
     given = args.beside if args.beside is not None else sorted(p.parent for p in (session.folder / BESIDE).glob("*/trials.csv"))
     results = [own, *(trials_tables.beside(folder, controller.name, own) for folder in given)]
     notes = [*trials_tables.lacking(own, logs, len(places)), *trials_tables.waters_beside(given)]

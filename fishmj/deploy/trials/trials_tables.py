@@ -143,6 +143,7 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
     if missing := len(set(wanted) - set(found)):
         console.warn(f"{folder}: {missing} of {len(wanted)} trials are not there")
     made = own._replace(controller=f"{policy}, {folder.resolve().name}", policy_sha256="", engine="", known=figures, action=None)
+    made = made._replace(policy=_training(folder, policy))
     gone = np.isfinite(away)
     if series := _series(folder / "logs", policy, own):
         ticks = np.where(gone, np.round(np.nan_to_num(away) / own.robot.timing.bus_dt).astype(int), len(own.t))
@@ -151,6 +152,16 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
         return made._replace(**series, left=ticks, distance=np.take_along_axis(away_from, frozen, 1))
     times = np.unique(away[gone])
     return made._replace(t=times, left=np.where(gone, np.searchsorted(times, away), len(times)))
+
+
+def _training(folder: Path, policy: str) -> dict | None:
+    """The training of the policy and what differed in the other water, from the results.json of its evaluation; None without."""
+    try:
+        rows = read_json(folder / "results.json")["results"]
+        found = next(row["policy"] for row in rows if row["controller"] == policy)
+        return found if {"said", "differs"} <= found.keys() else None
+    except (StoreError, KeyError, TypeError, AttributeError, StopIteration):
+        return None
 
 
 def _series(logs: Path, policy: str, own: Result) -> dict[str, Any]:
