@@ -40,10 +40,9 @@ def options() -> console.Parser:
     names = f"{', '.join(MODULES)}, or {ALL}; none: the list"
     add("names", type=console.OneOf((*MODULES, ALL)), nargs="*", action=console.Distinct, metavar="NAME", help=names)
     add("--quick", action="store_true", help="fewer trials, short trainings: a preview of every part")
-    policy = (
-        f"{', '.join(control.shipped_policies())}, a policy file or folder of a training, of the default fish; default {BEST}"
-    )
+    policy = f"{', '.join(control.shipped_policies())}, a policy file or folder of a training; default {BEST}"
     add("--policy", type=console.text, default=BEST, help=policy)
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file; of another fish name a --policy")
     solved = "lbm: the flow solver itself, hours without a GPU"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}")
     reference_option(add, PLAIN.said)
@@ -103,12 +102,13 @@ def main(argv: list[str]) -> int:
 
 def setup_of(args) -> ExperimentSetup:
     """Setting that the options select. Raises ConfigError, UnknownName."""
-    water = choice.chosen(load_robot("fish"), args.water).within((*choice.SELF_MADE, choice.LBM), "experiments")
+    water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM), "experiments")
     solved = water.kind == choice.LBM
     if args.reference and not solved:
         raise ConfigError("experiments: --reference: of --water lbm only; leave it out, or add it")
     solver = asked_for("experiments", args.reference, None, None) if solved else None
     common = {"robot": water.robot, "policy": args.policy, "seed": args.seed, "quick": args.quick, "out": Path(args.out)}
+    common |= {"described": args.robot}
     return ExperimentSetup(**common, solver=solver, device=args.device, tanks=args.tanks, trained=args.trained)
 
 

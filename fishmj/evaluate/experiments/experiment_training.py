@@ -27,7 +27,7 @@ def settings_of(setup: ExperimentSetup, **changes: Any) -> Settings:
     """Settings of a training: those of the policy's own run if it is a folder, else the preset quick; in this fitted water."""
     run = of_run(Path(setup.policy)) if Path(setup.policy).is_dir() else None
     water = choice.label(setup.robot) if setup.solver is None else "auto"
-    made = change(run or preset("quick"), water=water, **setup.of({}, QUICK))
+    made = change(run or preset("quick"), robot=setup.described, water=water, **setup.of({}, QUICK))
     return change(made, assess_every=made.steps, **changes)
 
 

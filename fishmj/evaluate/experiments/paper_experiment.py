@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fishmj import control, engines
-from fishmj.base.errors import ConfigError
 from fishmj.control import Controller
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
@@ -69,7 +68,7 @@ class PaperExperiment(NamedTuple):
 class ExperimentSetup:
     """Setting of all experiments. robot: in its water. quick: fewer trials. solver: water of the flow solver, or None.
 
-    trained: folder of policies for the ablations; None: they are trained.
+    trained: folder of policies for the ablations; None: they are trained. described: shipped name or file of the robot.
     """
 
     robot: Robot
@@ -81,6 +80,7 @@ class ExperimentSetup:
     device: str = "auto"
     tanks: int = 1
     trained: Path | None = None
+    described: str = "fish"
 
     def of(self, full: Any, quick: Any) -> Any:
         """First value, or with `quick` the second."""
@@ -93,11 +93,7 @@ class ExperimentSetup:
     @cached_property
     def brain(self) -> Controller:
         """The policy. Raises ConfigError, UnknownName: one of another fish, or none."""
-        try:
-            return control.chosen(self.policy, self.robot)
-        except ConfigError as error:
-            todo = f"the experiments swim {self.robot.name!r} only; fishmj evaluate --robot FILE judges a policy of another fish"
-            raise ConfigError(f"{error}; {todo}") from error
+        return control.chosen(self.policy, self.robot)
 
     @property
     def leader(self) -> str:
