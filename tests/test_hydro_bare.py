@@ -10,13 +10,13 @@ import hidden_water as hidden
 import pytest
 from ray_toys import toy
 
-from fishmj.base import console
+from fishmj.base import calib, console
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import Manifest, read_json, write_json
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit import __main__ as verb
 from fishmj.hydro_fit.campaign.data import default_dataset, plan
-from fishmj.hydro_fit.campaign.data.collect import collect
+from fishmj.hydro_fit.campaign.data.collect import collect, default_folder
 from fishmj.hydro_fit.campaign.data.run_segments import Finished
 from fishmj.hydro_fit.fit import fit_pipeline, gauss_newton
 from fishmj.hydro_fit.segment_dataset import SEGMENTS, SPLIT, open_dataset
@@ -60,8 +60,7 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setattr(solver_cost, "usable_cores", lambda: 2)
     monkeypatch.setattr(Toys, "seen", [])
     monkeypatch.setattr(default_dataset, "Local", lambda tanks, devices: Toys())
-    monkeypatch.setattr(verb, "DATA", Path("data/hydro"))
-    monkeypatch.setattr(verb, "FOLDERS", (Path("data/water"), *FOLDERS))
+    monkeypatch.setattr(verb, "SHIPPED", ())
     return tmp_path
 
 
@@ -78,6 +77,19 @@ def asked(**given) -> Path:
     return default_dataset.segments_at_hand(
         default_dataset.Request(**({"robot": FISH, "home": Path("data/hydro"), "quiet": True} | given))
     )
+
+
+def test_verbs_write_where_one_stands_and_read_what_is_shipped(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    preview = plan.preview(FISH)
+    assert [default_folder(preview).resolve(), FOLDERS[0].resolve()] == [
+        tmp_path / "data" / "hydro" / "swift-preview",
+        tmp_path / "data" / "water",
+    ]
+    args = verb.options("all").parse_args([])
+    assert verb.data_of(FISH, args) == verb.gathered(FISH, args) == verb.SHIPPED[0] and not (tmp_path / "data").exists()
+    assert "using the shipped" in (said := capsys.readouterr().out) and "complete by its plan" in said
+    assert HydroModel.load("swift").name == "swift" and "swift" in calib.waters()
 
 
 def test_hydro_fit_without_data_or_gpu_states_hours_and_solves_a_preview(home, capsys):
@@ -294,7 +306,7 @@ def test_preview_never_replaces_a_whole_model_and_a_whole_replaces_preview(home,
     first = fitted(3, None, "swift")
     assert first["taken"] and first["preview"] and Path(first["place"]).name == "swift-preview.toml" and first["standing"] is None
     worse = fitted(0, None, "swift")
-    assert not worse["taken"] and worse["standing"] == 1.0 and Path(worse["place"]) == FOLDERS[0] / "swift.toml"
+    assert not worse["taken"] and worse["standing"] == 1.0 and Path(worse["place"]) == FOLDERS[1] / "swift.toml"
     # in a place of its own: a preview, a worse preview, then a whole model that takes its place unasked
     own = home / "own"
     assert fitted(3, own, "other")["taken"] and HydroModel.load(own / "other.toml").preview
@@ -354,8 +366,6 @@ def test_the_bare_verb_end_to_end_in_the_flow_solver(tmp_path, monkeypatch, caps
     monkeypatch.setattr(domain, "_presets", lambda: small)
     monkeypatch.setattr(default_dataset, "CPU_TIME", 3600.0)
     monkeypatch.setattr(default_dataset, "PREVIEW_TIME", 9.5)
-    monkeypatch.setattr(verb, "DATA", Path("data/hydro"))
-    monkeypatch.setattr(verb, "FOLDERS", (Path("data/water"), *FOLDERS))
     given = ["--fish", "tiny.toml", "--device", "cpu", "--swims", "3", "--json"]
     assert console.run(verb.main, given) == console.OK
     out = capsys.readouterr().out

@@ -17,8 +17,8 @@ MODELS = {".xml": "a MuJoCo model"} | dict.fromkeys((".urdf", ".xacro"), "a URDF
 _ROOT = Path(__file__).resolve().parents[1]
 ROOTS = (_ROOT.parent / "data", _ROOT / "_data")  # what comes with fishmj: checkout first, then the installed wheel
 FOLDERS = tuple(root / "calib" for root in ROOTS)
-OWN = ROOTS[0] if FOLDERS[0].is_dir() else Path("data")  # where verbs put what they fit and collect: never into site-packages
-WATERS = (OWN / "water", ROOTS[1] / "water")
+OWN = Path("data")  # of the working directory, as runs/: where verbs put what they fit and collect
+WATERS = (OWN / "water", *(root / "water" for root in ROOTS))
 FAMILY = "-family"  # end of the name of a family of waters
 
 

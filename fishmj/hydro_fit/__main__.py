@@ -12,7 +12,7 @@ from fishmj.base.errors import ConfigError, DatasetError, FishmjError, StoreErro
 from fishmj.base.store import sha256
 from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SegmentRecord
-from fishmj.hydro_fit.segment_dataset import PREVIEW, SegmentDataset, open_dataset, open_each, same_fish
+from fishmj.hydro_fit.segment_dataset import PREVIEW, SPLIT, SegmentDataset, open_dataset, open_each, same_fish
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import FOLDERS, HydroModel, robot_hash
@@ -68,6 +68,8 @@ def gathered(robot: Robot, args) -> Path:
     out, place = Path(args.out or FOLDERS[0]), args.data and Path(args.data)
     for folder in (out, place or DATA):  # hours may lie between now and the first file
         console.out_folder(str(folder))
+    if place is None and not (DATA / robot.name / SPLIT).is_file() and (at := shipped_of(robot)) and open_dataset(at).whole:
+        place = at
     standing = standing_model(out, args.name or robot.name, robot_hash(robot))
     grid = "" if standing is None or standing[0].preview else str(standing[0].dataset.get("grid", ""))
     given = {"device": args.device, "ray": args.ray or "", "budget": args.budget, "quiet": args.json}
@@ -95,12 +97,17 @@ def data_of(robot: Robot, args) -> Path:
     own = DATA / robot.name
     if args.data or (own / MANIFEST).is_file():
         return Path(args.data or own)
-    for shipped in SHIPPED:
-        if (shipped / MANIFEST).is_file() and open_dataset(shipped).robot["name"] == robot.name:
-            console.say(f"no data set in {own}: using the shipped {shipped}")
-            return shipped
+    if shipped := shipped_of(robot):
+        console.say(f"no data set in {own}: using the shipped {shipped}")
+        return shipped
     preview = DATA / f"{robot.name}{PREVIEW}"
     return preview if (preview / MANIFEST).is_file() else own
+
+
+def shipped_of(robot: Robot) -> Path | None:
+    """The shipped data set of this fish, if there is one."""
+    there = (path for path in SHIPPED if (path / MANIFEST).is_file())
+    return next((path for path in there if open_dataset(path).robot["name"] == robot.name), None)
 
 
 def options(verb: str) -> console.Parser:

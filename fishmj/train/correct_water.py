@@ -22,6 +22,7 @@ from fishmj.base.calib import OWN
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json, write_json
 from fishmj.base.store.atomic import same_as_begun
+from fishmj.base.store.manifest import shipped
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data.collect import Local, Pool, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
@@ -70,7 +71,7 @@ def train_and_correct(
     tank = water_of_fit(model.dataset, model.slip, domain)
     about = {"settings": as_dict(settings), "begin": begin, "slip": model.slip, "domain": tank.box.name, "steps": steps}
     same_as_begun(folder / dagger.BEGUN, about)
-    data = open_dataset(OWN / "hydro" / robot.name)
+    data = open_dataset(shipped(OWN / "hydro" / robot.name))
     dagger.warn_of_two_waters([data], tank)
     devices = devices_of(device)
     setup = Setup(robot=robot, domain=tank.box, device=devices[0], sharpness=tank.sharpness)

@@ -7,7 +7,7 @@ import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from fishmj.base.calib import OWN, ROOTS
+from fishmj.base.calib import FOLDERS, ROOTS
 from fishmj.base.errors import StoreError
 from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store.atomic import read_json, write_json
@@ -101,6 +101,6 @@ def shipped(path: str | Path) -> Path:
 
 def left_out(path: str | Path) -> str:
     """End of an error message: source of the `data/` that the package leaves out; "" in a checkout, or for other paths."""
-    if OWN in ROOTS or Path(path).parts[:1] != ("data",):
+    if FOLDERS[0].is_dir() or Path(path).parts[:1] != ("data",):
         return ""
     return f"; fishmj's own data/ is whole {SOURCES} only"

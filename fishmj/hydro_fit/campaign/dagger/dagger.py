@@ -34,6 +34,7 @@ from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.base.store import read_json, write_json
 from fishmj.base.store.atomic import same_as_begun
+from fishmj.base.store.manifest import shipped
 from fishmj.base.workers import ask_all
 from fishmj.engines.extensions import Extensions
 from fishmj.engines.single import SingleFish
@@ -303,7 +304,7 @@ def main(argv: list[str]) -> int:
     robot, out = load_robot(args.fish), Path(args.out)
     began = HydroModel.load(args.model or robot.name)
     helm = control.make(args.policy, robot)  # a wrong name fails before anything else is looked at
-    first = open_each(args.data or [OWN / "hydro" / robot.name])
+    first = open_each(args.data or [shipped(OWN / "hydro" / robot.name)])
     tank = water_of_fit(began.dataset, began.slip, args.domain)
     warn_of_two_waters(first, tank)
     water = args.rounds * args.episodes * args.seconds
