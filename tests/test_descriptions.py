@@ -177,6 +177,7 @@ RELATIONS = [
     (("water", "k"), [0.9, 0.9], "one number a link, 4"),
     (("water", "lift_b"), 0.1, "at least 0.5"),
     (("water", "stall_angle"), 0.6, "both stall_angle and stall_angle_deg"),
+    (("water", "stall_angle_deg"), 0.61, "stall_angle_deg: got 0.61 deg.* write stall_angle = 0.61 if it is in rad"),
 ]
 
 

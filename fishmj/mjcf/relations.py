@@ -170,6 +170,14 @@ def _both(block: str, given: Mapping[str, Any], key: str) -> Iterator[KeyFault]:
         yield KeyFault(block, None, key, f"both {key} and {key}_deg", "one of them", f"keep {key}_deg")
 
 
+def _perhaps_rad(block: str, given: Mapping[str, Any], key: str) -> Iterator[KeyFault]:
+    """Error for a wide angle in deg that is a usual one in rad."""
+    if (deg := given.get(f"{key}_deg", 180.0)) <= pi:
+        todo = f"write {key} = {deg:g} if it is in rad, {key} = {radians(deg):.4g} if in deg"
+        expected = "more than 3.14159 deg: so small a number may be in rad"
+        yield KeyFault(block, None, f"{key}_deg", f"{deg:g} deg", expected, todo)
+
+
 def angle(given: Mapping[str, Any], key: str, default: float) -> float:
     """Angle [rad] from `key` in rad or `key_deg` in deg."""
     return float(given[key]) if key in given else radians(given[f"{key}_deg"]) if f"{key}_deg" in given else default
@@ -186,7 +194,7 @@ def servo_of(given: Mapping[str, Any]) -> dict[str, float]:
 def _servo(given: Mapping[str, Any]) -> Iterator[KeyFault]:
     for key in ("range", "resolution"):
         yield from _both("servo", given, key)
-    s, wide = servo_of(given), given.get("range_deg")
+    s = servo_of(given)
     kb = s["torque"] / s["speed_no_load"]
     if s["kd"] < kb * (1 - 1e-4):
         default = "" if "kd" in given else ", the default fish's, since none is given"
@@ -194,10 +202,8 @@ def _servo(given: Mapping[str, Any]) -> Iterator[KeyFault]:
         figures = f"torque ({s['torque']:g} N m) or speed_no_load ({s['speed_no_load']:g} rad/s)"
         todo = f"{_of_a_data_sheet(s)}raise kd to {kb:.4g} or more, or correct {figures}"
         yield KeyFault("servo", None, "kd", f"{s['kd']:g} N m s/rad{default}", expected, todo)
-    if wide is not None and wide <= pi:
-        expected = "more than 3.14159 deg: so small a number may be in rad"
-        todo = f"write range = {wide:g} if it is in rad, range = {radians(wide):.4g} if in deg"
-        yield KeyFault("servo", None, "range_deg", f"{wide:g} deg", expected, todo)
+    if doubts := list(_perhaps_rad("servo", given, "range")):
+        yield from doubts
         return
     if s["resolution"] >= s["range"]:
         got, expected = f"{s['resolution']:.4g} rad", f"less than the range, {s['range']:.4g} rad"
@@ -304,6 +310,7 @@ def _rig(given: Mapping[str, Any], n_joints: int | None, reach: float) -> Iterat
 def _water(given: Mapping[str, Any], n_links: int | None) -> Iterator[KeyFault]:
     for key in ("stall_angle", "stall_width"):
         yield from _both("water", given, key)
+    yield from _perhaps_rad("water", given, "stall_angle")
     for key in ("k", "cn"):
         if key in given and n_links is not None and len(given[key]) != n_links:
             got = f"{shown(given[key])}, {len(given[key])} of them"
