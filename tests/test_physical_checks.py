@@ -482,3 +482,15 @@ def test_poses_on_straight_lines_between_others_are_counted(every):
     assert least <= int(said.split()[1]) <= least + 2 * every and "on straight lines between others" in said
     assert levels(filled)["stale reading"] == physical_checks.NOTE
     assert names(replace(filled, meta={**filled.meta, "plausible": {"stale": 1.0}})) == {}
+
+
+@pytest.mark.parametrize(("seed", "noise"), [(0, 1e-4), (1, 3e-4)])
+def test_a_fish_at_rest_in_a_pose_rounded_to_1_mm_lies_on_no_straight_lines(seed, noise):
+    """Its joints move, it drifts: neighbours differ by 0 or 1 mm. Filled rows of a swim are found, rounded to 0.1 mm."""
+    swim, rng, rows, kept = turning(), np.random.default_rng(seed), np.arange(600), np.arange(0, 600, 5)
+    t, blur = swim.tables["pose"]["t"], lambda size: rng.normal(0, size, 600)
+    x, y = 1e-4 * (rows + 1) + 0.003 * np.sin(4 * np.pi * t) + blur(noise), 0.003 * np.sin(2 * np.pi * t - 0.7) + blur(noise)
+    seen = {"x": x, "y": y, "yaw": 0.015 * np.sin(2 * np.pi * t)}
+    assert names(changed(swim, "pose", **{c: lambda _, v=v: np.round(v / 1e-3) * 1e-3 for c, v in seen.items()})) == {}
+    filled = {c: lambda v: np.round(np.interp(rows, kept, (v + blur(5e-3))[kept]), 4) for c in seen}
+    assert "on straight lines between others" in names(changed(swim, "pose", **filled))["stale reading"]

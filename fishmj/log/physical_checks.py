@@ -70,6 +70,7 @@ GONE = 0.25  # of the way at its usual speed by which a fish has gone on behind 
 OLD = 0.01  # share of rows that repeat a pose for less than that, or were filled in, from which it is noted
 LINE, ROUNDED = 5e-3, 0.03  # of the usual bend between rows, on a straight line: exact numbers, and rounded ones at most
 FILLED, RESAMPLED = 3, 0.2  # rows of one line; share of rows on lines from which shorter ones count
+STEPS = 1.5  # of the numbers' last digit from row to row, up to which a line is one of rounding: a fish that rests or drifts
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 
@@ -323,7 +324,11 @@ def _interpolated_pose(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, s
     goes = np.any(steps[:2] > 0, axis=0)
     line = np.r_[False, np.all(off <= near, axis=0) & goes[1:] & goes[:-1], False]
     edges = np.flatnonzero(np.diff(line)) + 1
-    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= FILLED or line.mean() > RESAMPLED]
+    step = lambda a, b: np.abs(values[:2, b] - values[:2, a - 1]) / (b - a + 1)
+    far = lambda a, b: bool((step(a, b) > STEPS * digit[:2, 0]).any())  # else rounding alone makes it straight
+    lines = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if far(a, b)]
+    resampled = sum(b - a for a, b in lines) > RESAMPLED * len(t)
+    runs = [(a, b) for a, b in lines if b - a >= FILLED or resampled]
     rows = sum(b - a for a, b in _of_a_swim(trial, runs))
     if rows >= max(OFTEN, OLD * len(t)) and not is_coarse(off):
         text = (
