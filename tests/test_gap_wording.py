@@ -68,7 +68,9 @@ def test_round_is_called_accepted_only_if_the_held_out_residual_shrinks():
     grown = round_text(True, 34561418.0, (7273.97, 42555.6))
     assert "accepted" not in grown and grown.endswith("taken though their residual does not shrink")
     assert "accepted" not in round_text(True, 300.0, (5.0, 5.0))
-    assert round_text(False, 12.0, None).endswith("not enough")
+    little = round_text(False, 12.0, None)
+    assert little.startswith("adding it improves the fit too little: gain 12 in") and little.endswith("not enough")
+    assert {round_text(False, gain, None) for gain in (0.0, -3.0)} == {"adding it does not improve the fit"}
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])

@@ -207,7 +207,9 @@ def round_text(taken: bool, gain: float, over_floor: "tuple[float, float] | None
     taken: True if the effect went into the model, for its gain. over_floor: before and after, of records predicted without their
     fold.
     """
+    if not taken and gain <= 0.0:
+        return "adding it does not improve the fit"
     text = f"gain {number(gain)} in twice the log likelihood of records not seen"
     if not taken:
-        return f"{text}, not enough"
+        return f"adding it improves the fit too little: {text}, not enough"
     return f"{text}, accepted" if lowers(over_floor) else f"{text}, taken though their residual does not shrink"
