@@ -1,14 +1,17 @@
 """Searches of an arm in MJCF from its logs to the answer. All logs are *synthetic*."""
 
+import json
 from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from robot_arm import ARM, edited, trials_of, write_logs
 
 from fishmj import effects
-from fishmj.gap.commands.find_robot import by_effect, place_of, robot_gates
+from fishmj.gap.commands import find_robot
+from fishmj.gap.commands.find_robot import by_effect, place_of, place_text, robot_gates
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
@@ -137,6 +140,23 @@ def test_place_of_the_gap_is_the_joint(sticky):
     place = place_of(sticky)
     assert place.joints["elbow"] > 0.5 and sum(place.joints.values()) == pytest.approx(1.0)
     assert sum(place.motions["elbow"].values()) == pytest.approx(place.joints["elbow"])
+
+
+def test_gap_is_located_once_for_the_text_and_for_json(sticky, arm, monkeypatch, capsys):
+    located = []
+    monkeypatch.setattr(find_robot, "place_of", lambda inquiry: located.append(place_of(inquiry)) or located[0])
+    monkeypatch.setattr(find_robot, "read_logs", lambda args: (arm, [], [None, None], {}))
+    monkeypatch.setattr(find_robot, "search", lambda *given: sticky)
+    assert find_robot.find(SimpleNamespace(out=None, json=True)) == 0 and len(located) == 1
+    *said, told = capsys.readouterr().out.splitlines()
+    assert f"  {located[0].text}" in said and json.loads(told)["localisation"]["text"] == located[0].text
+
+
+def test_of_a_model_that_agrees_the_tolerances_explain_the_residual(sticky):
+    place, agrees = place_of(sticky), replace(sticky.verdict, answer="AGREES")
+    assert place_text(agrees, place) == f"{place.text}; the stated tolerances explain all of it"
+    assert place_text(sticky.verdict, place) == place.text
+    assert place_text(agrees, place._replace(joints={"elbow": 0.0})) == "no residual is above the floor"
 
 
 def test_page_shows_the_answer(sticky, tmp_path):

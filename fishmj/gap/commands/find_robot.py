@@ -57,11 +57,10 @@ def find(args: Any) -> int:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
     with interrupt.keeping(lambda: AGAIN):
         inquiry = search(robot, trials, args)
-        told = told_of(inquiry)
-        console.say(inquiry.verdict.text(), *(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
         place = place_of(inquiry)
-        agrees = inquiry.verdict.answer == "AGREES" and any(place.joints.values())
-        console.say(f"  {place.text}{'; the stated tolerances explain all of it' if agrees else ''}")
+        told = told_of(inquiry, place)
+        console.say(inquiry.verdict.text(), *(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
+        console.say(f"  {place_text(inquiry.verdict, place)}")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
             rest = dict(zip(robot.sites("joint"), inquiry.evidence.model.rest, strict=True))
@@ -254,9 +253,14 @@ def place_of(inquiry: Inquiry) -> RobotLocalisation:
     return localise_robot(e.layout, residual, e.scale, rates)
 
 
-def told_of(inquiry: Inquiry) -> dict:
+def place_text(verdict: Verdict, place: RobotLocalisation) -> str:
+    """Place of the gap in words; of a model that agrees, whose residual above the floor lies within the stated tolerances, so."""
+    explained = verdict.answer == "AGREES" and any(place.joints.values())
+    return f"{place.text}{'; the stated tolerances explain all of it' if explained else ''}"
+
+
+def told_of(inquiry: Inquiry, place: RobotLocalisation) -> dict:
     """The answer for JSON: the verdict, the answer for each effect, and the place of the gap."""
-    place = place_of(inquiry)
     return inquiry.verdict.plain() | {
         "by_effect": by_effect(inquiry.verdict),
         "localisation": place._asdict() | {"text": place.text},
