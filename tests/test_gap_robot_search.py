@@ -21,6 +21,7 @@ from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.fit import limiting
 from fishmj.gap.search.stepwise import CrossValidatedFit, converge, exchange_limiting_forms, propose
 from fishmj.gap.search.unexplained_torque import require_smaller_torques, with_measured_errors
+from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import investigate, require_residual_at_floor
 
 pytest.importorskip("numba")
@@ -126,7 +127,17 @@ def test_constants_count_once_where_null_runs_draw_them(sticky):
 
 def test_healthy_arm_agrees(folder, arm):
     logs = write_logs(folder / "well", ARM, logs=3, seconds=2.0, seed=4)
-    assert search_among(arm, logs, "coulomb_friction", "viscous_friction").verdict.answer == "AGREES"
+    found = search_among(arm, logs, "coulomb_friction", "viscous_friction")
+    v, e, row = found.verdict, found.evidence, found.found.base.row
+    assert v.answer == "AGREES" and len(v.missed) == 4
+    start, known = e.subset().z(row[None]), {x.name: x.parameters[0].name for x in e.model.active.effects}
+    for name, told in v.missed.items():  # of that size an effect gains what a search asks for, of twice that plenty
+        rows = np.tile(row, (2, 1))
+        rows[:, e.model.index(name, known[name])] = told["value"], 2 * told["value"]
+        once, twice = np.sum((e.subset().z(rows) - start) ** 2, 1)
+        assert 0.5 < once / found.gates.gain < 2 and twice > 2 * once, name
+    damping = quantity(v.missed["viscous_friction@elbow"]["value"], "N m s/rad")
+    assert "not excluded, each alone" in v.text() and f"{damping} at elbow" in v.text()
 
 
 def test_torque_of_no_effect_is_unexplained(folder, arm):

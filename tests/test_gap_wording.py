@@ -15,7 +15,7 @@ from fishmj.gap.report.report_data import ReportRow, after, gap_of, listed
 from fishmj.gap.search.fit import Candidate
 from fishmj.gap.search.stepwise import CrossValidatedFit, SelectionStep
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.verdict import NamedEffect, Value, Verdict, round_text
+from fishmj.gap.verdict import NamedEffect, Value, Verdict, missed_text, round_text
 from fishmj.gap.wording import level, number, percent, quantity, title
 
 CURRENT = NamedEffect(
@@ -71,6 +71,19 @@ def test_round_is_called_accepted_only_if_the_held_out_residual_shrinks():
     little = round_text(False, 12.0, None)
     assert little.startswith("adding it improves the fit too little: gain 12 in") and little.endswith("not enough")
     assert {round_text(False, gain, None) for gain in (0.0, -3.0)} == {"adding it does not improve the fit"}
+
+
+def test_sizes_that_could_have_been_missed_are_told_by_kind():
+    one = {"null": 0.0, "unit": "N m s/rad"}
+    missed = {"viscous_friction@hip": one | {"value": 0.03}, "viscous_friction@knee": one | {"value": 0.002}}
+    missed |= {"servo_gain@a": {"value": 1.2, "null": 1.0, "unit": "1"}, "dead_time": {"value": None, "null": 0.0, "unit": "s"}}
+    head, *rows, never = missed_text(missed)
+    assert head.endswith("would not have shown it up to about") and never.endswith("at any size that was tried: dead time")
+    assert rows == [
+        "    viscous friction: 0.03 N m s/rad at hip, 0.002 N m s/rad at knee",
+        "    servo gain: 1.2 (none: 1) at a",
+    ]
+    assert missed_text({}) == []
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass, field
 
-from fishmj.gap.wording import level, number, pair, percent, sizes, title, untold
+from fishmj.gap.wording import level, number, pair, percent, quantity, sizes, title, untold
 
 SENSORS = ("servo reading", "encoder reading", "joint log", "camera along")  # terms of the library that are no forces
 
@@ -52,7 +52,8 @@ class Verdict:
     high] of each number, and a weight. gap_unseen_before, gap_after_unseen: on records outside every decision. explained: share
     of the excess of twice the log likelihood, each record predicted without its fold, with the allowed error of the formulas;
     it is no share of the gap, and the residual may grow beside it. over_floor: its mean square over the floor before and after,
-    of the searched and the unseen records. steps: the rounds, decide.step_table.
+    of the searched and the unseen records. steps: the rounds, decide.step_table. missed: with AGREES, what could have been
+    missed (decide/intervals.missed_sizes).
     """
 
     answer: str
@@ -74,6 +75,7 @@ class Verdict:
     gates: dict = field(default_factory=dict)
     over_floor: dict[str, tuple[float, float]] = field(default_factory=dict)
     steps: tuple[dict, ...] = ()
+    missed: dict[str, dict] = field(default_factory=dict)
 
     @property
     def searched(self) -> bool:
@@ -157,6 +159,7 @@ class Verdict:
             about = "a sensor's error" if t["name"].startswith(SENSORS) else "a force"
             lines.append(f"  as {about}: {t['name']}, {share}, {'firm' if t['firm'] else 'weak'}{also}")
         lines += [f"  {gap}" for gap in self.gaps()]
+        lines += missed_text(self.missed)
         lines += [f"  warning: {w}" for w in self.warnings]
         if self.next_experiment:
             lines.append(f"  next: {self.next_experiment}")
@@ -184,6 +187,20 @@ LIKELIHOOD = "the excess log likelihood"
 P_BEST = "P(best): share of redraws of these records that each one wins; a rival that wins none loses by too little to rule out"
 FLOOR = "mean square in units of the floor, 1 = agreement"
 LIKELIER = "makes records that it was not fitted to likelier, its formula's error granted, but their residual does not shrink"
+
+
+def missed_text(missed: dict[str, dict]) -> list[str]:
+    """`Verdict.missed` in words: a line for each kind of effect, and one for those that no size shows; [] without any."""
+    kinds: dict[str, list[str]] = {}
+    for name, told in missed.items():
+        if told["value"] is not None:
+            kind, at, site = name.partition("@")
+            size = quantity(told["value"], told["unit"]) + (f" (none: {number(told['null'])})" if told["null"] else "")
+            kinds.setdefault(title(kind), []).append(f"{size}{' at ' * bool(at)}{title(site)}")
+    head = "  not excluded, each alone: these logs would not have shown it up to about" if kinds else ""
+    lines = [head, *(f"    {kind}: {', '.join(sizes)}" for kind, sizes in kinds.items())] if kinds else []
+    never = [title(name) for name, told in missed.items() if told["value"] is None]
+    return [*lines, f"  not excluded at any size that was tried: {', '.join(never)}"] if never else lines
 
 
 def lowers(pair: "tuple[float, float] | None") -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
+from fishmj.gap.decide.intervals import missed_sizes
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.robot_null import RobotNull
@@ -126,7 +127,7 @@ def investigate(
     inquiry = Inquiry(verdict, e, found, gates, trials, records, unseen, null, swims, further, seed, say, bars, notes)
     for veto in VETOES:
         verdict = veto(verdict, inquiry)
-    return replace(inquiry, verdict=verdict)
+    return replace(inquiry, verdict=with_missed_sizes(verdict, inquiry))
 
 
 def compile_kernel(model, say: Callable[[str], None]) -> None:
@@ -144,6 +145,18 @@ def set_aside(records: Sequence, seed: int) -> np.ndarray:
     if len(records) >= thresholds().workflow.set_aside_from:
         aside[np.random.default_rng(seed + 1).permutation(len(records))[: len(records) // 4]] = True
     return aside
+
+
+def with_missed_sizes(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Adds to AGREES the sizes of effects that could have been missed: a few more evaluations.
+
+    A round asks for `gain`; where one found no more than chance, only `certain_gain` rules that out.
+    """
+    if verdict.answer != "AGREES":
+        return verdict
+    e, found, gates = inquiry.evidence, inquiry.found, inquiry.gates
+    asked = max(gates.certain_gain, gates.gain) if found.best.names else gates.gain
+    return replace(verdict, missed=missed_sizes(e.subset(), found.base.row, asked))
 
 
 # ------------------------------------------------------------------------------------------------------------------------- vetoes
