@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from synthetic import whole_trial
 
 from fishmj import log
+from fishmj.base import console
 from fishmj.base.errors import LogError, StoreError, UnknownName
-from fishmj.log import toml, trial_check
+from fishmj.log import import_command, toml, trial_check
+from fishmj.log.__main__ import main as log_command
 from fishmj.log.table_files import HALF_ERROR, narrow
 
 
@@ -244,3 +246,19 @@ def test_a_place_that_leaps_from_next_to_nothing_is_read(trial):
     half = len(pose["t"]) // 2
     pose["x"] = np.where(np.arange(len(pose["t"])) < half, 5e-324, 1.5)  # the ratio of the two levels is infinite
     assert "x steps faster" in " ".join(trial_check.check_table("pose", pose, lambda row, column: f"row {row}"))
+
+
+def test_log_of_an_arm_is_sent_to_gap_find(tmp_path, capsys):
+    """Nothing in it is a fish's. A trial folder of a fish with a bad row is none."""
+    (tmp_path / "arm").mkdir()
+    rows = "".join(f"{0.02 * i},{i % 7},{i % 5}\n" for i in range(50))
+    (tmp_path / "arm" / "swing.csv").write_text(f"t,cmd_shoulder,pos_shoulder\n{rows}")
+    where = "fishmj gap find LOGS --model robot.xml"
+    with pytest.raises(LogError, match=where):
+        import_command.main([str(tmp_path / "arm"), "--out", str(tmp_path / "made")], dict)
+    for place in (tmp_path / "arm", tmp_path / "arm" / "swing.csv"):
+        assert log_command(["check", str(place)]) == console.FAILED_CHECK and where in capsys.readouterr().err
+    (tmp_path / "fish").mkdir()
+    (tmp_path / "fish" / "meta.toml").write_text('schema = "fishmj.log/1"\norigin = "measured"\n')
+    (tmp_path / "fish" / "cmd.csv").write_text("t,c1\n0,0\n0,0\n")
+    assert log_command(["check", str(tmp_path / "fish")]) == console.FAILED_CHECK and where not in capsys.readouterr().err

@@ -14,7 +14,7 @@ from fishmj.log.dataset import mend, read_dataset
 from fishmj.log.importers import gather
 from fishmj.log.limits import bare
 from fishmj.log.timebase import audit
-from fishmj.log.trial_folder import META_FILE, faults, read_trial
+from fishmj.log.trial_folder import META_FILE, OF_ARM, faults, read_trial
 
 
 def check(argv: list[str]) -> int:
@@ -46,6 +46,8 @@ def check(argv: list[str]) -> int:
             impossible[name] = wrong
             for text in wrong:
                 console.warn(f"{bare(name)}: {text}")
+    if args.data.is_dir() and broken and not audits and not any(map(gather.is_own, found.values())):
+        console.warn(f"{args.data}: no trial folder of a fish; fishmj log import makes one of other recordings; {OF_ARM}")
     for line in changed:
         console.warn(line)
     more = f", {len(impossible)} not physical" if impossible else ""

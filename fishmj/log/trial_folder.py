@@ -27,6 +27,7 @@ JOURNAL = "journal"  # folder of rows that the robot's host appends while the fi
 FLAT = {"c#": "cmd", "j#": "joint", "w#": "joint", "load#": "joint", "x": "pose", "y": "pose", "yaw": "pose", "quality": "pose"}
 FLAT |= {"V": "power", "I": "power", "o#": "obs", "a#": "action", "seq": "cmd", "t_rx": "cmd", "on#": "cmd", "temp#": "joint"}
 FLAT |= dict.fromkeys(("amplitude", "bias", "frequency"), "gait") | dict.fromkeys(("surge", "sway", "yaw_rate"), "velocity")
+OF_ARM = "logs of an arm or another robot in MJCF or URDF go without an import to fishmj gap find LOGS --model robot.xml"
 
 
 def read_trial(path: str | Path) -> Trial:
@@ -203,7 +204,7 @@ def flat_trial(samples: Table, place: trial_check.Place, path: Path, meta: dict,
         elif column != "t":
             notes.append(f"{path.name}: column {quoted(column)} belongs to no table; left out. Known: {', '.join(FLAT)}")
     if not tables:
-        raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..")
+        raise LogError(f"{place(-1, '')}: no column of a known table; known: {', '.join(FLAT)}, # = 1, 2, ..; {OF_ARM}")
     bounds = bounds_of(meta, str(path.with_name(META_FILE)))
     for name, table in tables.items():
         notes += trial_check.check_table(name, table, place, bounds)

@@ -13,6 +13,7 @@ from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import bare, typed
+from fishmj.log.trial_folder import OF_ARM
 
 Guesses = list[tuple[Sequence[FileKind], list[Guess]]]  # one for each layout of files
 SHOWN = 3  # first values of a column
@@ -64,7 +65,8 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
             f'{{ column = "frame", scale = 0.01 }}'
         )
     text = "; ".join(f"{bare(g.column)}: {g.why}" for g in guesses if g.place != "t")[:300]
-    return f"{where}: no column was recognised ({text}); write a map (docs/search/logs.md) and import with --columns MAP.toml"
+    todo = "write a map (docs/search/logs.md) and import with --columns MAP.toml"
+    return f"{where}: no column was recognised ({text}); {OF_ARM}; otherwise {todo}"
 
 
 def choices(g: Guess) -> str:
