@@ -81,7 +81,7 @@ def test_sizes_that_could_have_been_missed_are_told_by_kind():
     assert head.endswith("would not have shown it up to about") and never.endswith("at any size that was tried: dead time")
     assert rows == [
         "    viscous friction: 0.03 N m s/rad at hip, 0.002 N m s/rad at knee",
-        "    servo gain: 1.2 (none: 1) at a",
+        "    servo gain: 1 + 0.2 at a",
     ]
     assert missed_text({}) == []
 

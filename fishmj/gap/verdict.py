@@ -195,7 +195,9 @@ def missed_text(missed: dict[str, dict]) -> list[str]:
     for name, told in missed.items():
         if told["value"] is not None:
             kind, at, site = name.partition("@")
-            size = quantity(told["value"], told["unit"]) + (f" (none: {number(told['null'])})" if told["null"] else "")
+            none, away = told["null"], told["value"] - told["null"]
+            size = f"{number(none)} {'-' if away < 0 else '+'} {quantity(abs(away), told['unit'])}" if none else ""
+            size = size or quantity(away, told["unit"])
             kinds.setdefault(title(kind), []).append(f"{size}{' at ' * bool(at)}{title(site)}")
     head = "  not excluded, each alone: these logs would not have shown it up to about" if kinds else ""
     lines = [head, *(f"    {kind}: {', '.join(sizes)}" for kind, sizes in kinds.items())] if kinds else []
