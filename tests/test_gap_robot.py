@@ -17,7 +17,7 @@ from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_patch import patched
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.records.records import ResidualLayout
-from fishmj.gap.records.robot_logs import read_columns, read_robot_logs
+from fishmj.gap.records.robot_logs import guess_columns, read_columns, read_robot_logs
 from fishmj.gap.records.shooting import robot_record, robot_records, thinned
 
 pytest.importorskip("numba")
@@ -120,6 +120,52 @@ def test_map_without_a_joint_names_it(tmp_path, arm):
     path.write_text('time = "t"\n[joint]\nshoulder = "a"\n[actuator]\nshoulder = "u"\nelbow = "i"\n')
     with pytest.raises(LogError, match=r"\[joint\] elbow: is missing"):
         read_columns(path, arm.sites("joint"), arm.actuators)
+
+
+def test_map_without_several_lists_them_all_and_the_columns_of_the_log(tmp_path, arm):
+    path = tmp_path / "map.toml"
+    path.write_text('[joint]\nshoulder = "a"\n[actuator]\nelbow = "i"\n')
+    wanted = r"time, \[joint\] elbow, \[actuator\] shoulder: are missing; expected a column for each, of a, b, u, i$"
+    with pytest.raises(LogError, match=wanted):
+        read_columns(path, arm.sites("joint"), arm.actuators, columns=["a", "b", "u", "i"])
+
+
+@pytest.mark.parametrize(
+    ("time", "asked", "read", "torques"),
+    [
+        ("Zeit", "Sollmoment_#", "Winkel_#", True),
+        ("Zeit [ms]", "Sollwinkel_#", "Istwinkel_#", False),
+        ("Zeitstempel", "Drehmoment_#", "Gelenkwinkel_#", True),
+        ("temps", "consigne_couple_#", "angle_#", True),
+    ],
+)
+def test_columns_in_other_languages_are_guessed(time, asked, read, torques):
+    named = [name.replace("#", str(k)) for name in (asked, read) for k in (1, 2)]
+    found = guess_columns([time, *named], ("shoulder", "elbow"), ("shoulder", "elbow"), torques)
+    assert (found.time.column, found.time.unit) == (time, "ms" if "ms" in time else "")
+    assert [c.column for part in (found.actuator, found.joint) for c in part.values()] == named
+
+
+def test_map_of_german_logs_is_written_and_read(tmp_path, arm, capsys):
+    """A current is no torque without its constant: it is left to the user, by the error, and by the map that this names."""
+    (tmp_path / "arm.xml").write_text(ARM)
+    rows = "".join(f"{k / 100:.2f};0,1;0,2;{k % 9 / 10};{k % 7 / 10}\n".replace(".", ",") for k in range(60))
+    (tmp_path / "lauf.csv").write_text(f"Zeit;Strom_1;Strom_2;Winkel_1;Winkel_2\n{rows}")
+    path = tmp_path / "map.toml"
+    given = [str(tmp_path / "lauf.csv"), "--model", str(tmp_path / "arm.xml")]
+    with pytest.raises(LogError, match="no columns for the commands .* gap find .* --write-map MAP.toml$"):
+        find.main(given)
+    assert find.main([*given, "--write-map", str(path)]) == 0
+    text = path.read_text()
+    assert '"elbow" = { column = "Winkel_2" }' in text and '# "elbow" = "COLUMN"' in text
+    assert "name the 2 columns" in capsys.readouterr().out
+    with pytest.raises(LogError, match=r"\[actuator\] shoulder, \[actuator\] elbow: are missing"):
+        find.main([*given, "--columns", str(path)])
+    for k, name in enumerate(("shoulder", "elbow"), 1):
+        text = text.replace(f'# "{name}" = "COLUMN"', f'{name} = {{ column = "Strom_{k}", scale = 0.5 }}')
+    path.write_text(text)
+    (trial,), broken = read_robot_logs([tmp_path / "lauf.csv"], read_columns(path, arm.sites("joint"), arm.actuators))
+    assert not broken and trial.table("joint")["j1"][8] == 0.8 and set(trial.table("cmd")["c2"]) == {0.1}
 
 
 def test_positions_in_degrees_are_refused(folder, arm, tmp_path):

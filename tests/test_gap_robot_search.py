@@ -16,6 +16,7 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.fit import limiting
@@ -168,6 +169,32 @@ def test_of_a_model_that_agrees_the_tolerances_explain_the_residual(sticky):
     assert place_text(agrees, place) == f"{place.text}; the stated tolerances explain all of it"
     assert place_text(sticky.verdict, place) == place.text
     assert place_text(agrees, place._replace(joints={"elbow": 0.0})) == "no residual is above the floor"
+
+
+def test_interrupted_search_goes_on_with_its_null_runs_and_torques(folder, arm, tmp_path, monkeypatch):
+    monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
+    trials = trials_of(arm, write_logs(folder / "kept", ARM, logs=2, seconds=1.6))
+    records = robot_records(trials, arm.dt, arm.sites("joint"))
+    start = RigidRobot(arm, sizes_of(arm, records), [effects.robot_catalogue()["viscous_friction"]])
+    stop, drawn, measure = lambda *given: 1 / 0, RobotNull._drawn, find_robot.with_measured_errors
+    go_on = lambda null: find_robot.with_kept_errors(start, trials, records, null)
+    monkeypatch.setattr(find_robot, "with_measured_errors", stop)
+    with pytest.raises(ZeroDivisionError):
+        go_on(RobotNull(8))
+    monkeypatch.setattr(RobotNull, "_drawn", stop)  # the runs are kept
+    monkeypatch.setattr(find_robot, "with_measured_errors", measure)
+    null = RobotNull(8)
+    first = go_on(null)
+    monkeypatch.setattr(find_robot, "with_measured_errors", stop)  # and so are the torques
+    again = go_on(RobotNull(8))
+    for name in ("torque_error", "reference"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+    monkeypatch.setattr(RobotNull, "_drawn", drawn)
+    anew = RobotNull(8).residuals(start, records, ResidualLayout(records))
+    np.testing.assert_array_equal(*null.kept.values(), anew)
+    with pytest.raises(ZeroDivisionError):  # other settings are another search
+        go_on(RobotNull(8, seed=1))
+    assert str(tmp_path / "null") in find_robot.words() and "the same command goes on with those" in find_robot.words()
 
 
 def test_page_shows_the_answer(sticky, tmp_path):

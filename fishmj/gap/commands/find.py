@@ -68,6 +68,7 @@ def main(argv: list[str]) -> int:
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
     add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
     gap_options.of_columns(add)
+    gap_options.of_written_map(add)
     own_effects.option(parser)
     args = parser.parse_args(argv)
     if is_robot(args.model):
@@ -75,6 +76,10 @@ def main(argv: list[str]) -> int:
 
         gap_options.there(args.columns, args.data)
         return find(args)
+    if args.write_map:
+        raise ConfigError(
+            f"gap find: --write-map is of robots in MJCF; fishmj log import writes the map of a fish ({args.model})"
+        )
     args.null = args.null and shipped(args.null)
     gap_options.there(args.null, args.healthy, args.data if left_out(args.data) else None)
     own_effects.join(args.effects)

@@ -4,16 +4,22 @@ LOGS has a column for each joint's position and each actuator's command (records
 """
 
 import hashlib
+import json
+import shlex
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from fishmj.base import console, interrupt
+from fishmj.base.calib import resolve
+from fishmj.base.compile_cache import cache_folder
 from fishmj.base.cores import one_blas_thread
-from fishmj.base.errors import ConfigError, LogError
-from fishmj.base.store import sha256, write_json
+from fishmj.base.errors import ConfigError, LogError, StoreError
+from fishmj.base.store import read_npz, sha256, write_json, write_npz, write_text
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.decide.indistinguishable import with_indistinguishable
@@ -22,8 +28,12 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.models.search_step import coarsest
+from fishmj.gap.null.null_runs import digest, kept_at
 from fishmj.gap.null.robot_null import RobotNull
+from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.robot_logs import (
+    POSE,
+    LogTable,
     RobotColumns,
     contents,
     guess_columns,
@@ -33,7 +43,7 @@ from fishmj.gap.records.robot_logs import (
     read_robot_logs,
     read_sheet,
 )
-from fishmj.gap.records.shooting import robot_records
+from fishmj.gap.records.shooting import RobotRecord, robot_records
 from fishmj.gap.report.robot_page import write_robot_page
 from fishmj.gap.search.shared_effects import at_many_joints, site_of
 from fishmj.gap.search.unexplained_torque import with_measured_errors
@@ -42,9 +52,11 @@ from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
 from fishmj.log import Trial, stacked
+from fishmj.log.importers.column_map import Column, Stamp
+from fishmj.log.limits import bare
+from fishmj.log.trial import readings_sha256
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
-AGAIN = "the same command begins anew"
 MOST_SAID = 10  # notes on logs that are printed
 HOLE = 10  # usual steps between two rows, from which on rows are missing
 
@@ -52,10 +64,12 @@ HOLE = 10  # usual steps between two rows, from which on rows are missing
 def find(args: Any) -> int:
     """Answers the command. args: of `gap find`. Returns the exit code."""
     refuse_fish_options(args, "gap find")
+    if getattr(args, "write_map", None):
+        return write_map(args)
     robot, files, trials, broken = read_logs(args)
     if len(trials) < 2:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
-    with interrupt.keeping(lambda: AGAIN):
+    with interrupt.keeping(words):
         inquiry = search(robot, trials, args)
         place = place_of(inquiry)
         told = told_of(inquiry, place)
@@ -70,6 +84,12 @@ def find(args: Any) -> int:
     if args.json:
         console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
     return console.OK
+
+
+def words() -> str:
+    """Message of an interrupted search."""
+    done = "the null runs and the measured torques that were finished"
+    return f"{cache_folder() / 'null'} holds {done}; the same command goes on with those, a round of the search begins anew"
 
 
 def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dict[str, str]]:
@@ -115,22 +135,68 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
     """Columns of the map, or guessed, shown and confirmed. Raises LogError."""
     joints, actuators = tuple(j.name for j in robot.joints), robot.actuators
     if args.columns:
-        found = read_columns(args.columns, joints, actuators, robot.base is not None)
+        found = read_columns(args.columns, joints, actuators, robot.base is not None, list(read_sheet(files[0]).columns))
         console.say("columns of the map:", *(f"  {row}" for row in found.rows()))
     else:
         sheet = read_sheet(files[0])
-        torques = not robot.model.actuator_biasprm[:, 1].any()
         try:
-            units = {name: own.units.get(column, "") for name, (own, column) in sheet.columns.items()}
-            found = guess_columns(list(sheet.columns), joints, actuators, torques, units, robot.base is not None)
+            found = guessed(robot, sheet, joints, actuators)
         except LogError as error:
-            raise LogError(f"{sheet.where}: {error}") from error
+            todo = shlex.join(["fishmj", "gap", "find", str(args.data), "--model", str(args.model), "--write-map", "MAP.toml"])
+            raise LogError(f"{sheet.where}: {error}; a map to complete is written by: {todo}") from error
         console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
         if not args.yes and not console.confirmed("Is that right?"):
             raise LogError("the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
     for doubt in found.doubts():
         console.warn(doubt)
     return found
+
+
+def guessed(robot: RobotDescription, sheet: LogTable, joints: Sequence[str], actuators: Sequence[str]) -> RobotColumns:
+    """Columns of a log by name, of some joints and actuators. Raises LogError."""
+    torques = not robot.model.actuator_biasprm[:, 1].any()
+    units = {name: own.units.get(column, "") for name, (own, column) in sheet.columns.items()}
+    return guess_columns(list(sheet.columns), joints, actuators, torques, units, robot.base is not None)
+
+
+def write_map(args: Any) -> int:
+    """Writes --write-map: the guess of the first log, a commented line for each column without one. Returns the exit code."""
+    path, robot = args.write_map, read_robot(robot_file(args.model))
+    if path.exists():
+        raise LogError(f"{path}: exists, and may hold your own lines; choose another name for the map, or remove it first")
+    sheet = read_sheet(log_files(args.data)[0])
+    sites = {"joint": tuple(j.name for j in robot.joints), "actuator": robot.actuators, "base": POSE if robot.base else ()}
+    known, why = dict[str, dict[str, Column]](), dict[str, str]()
+    time = ""
+    for table in ("joint", "actuator"):
+        try:
+            found = guessed(robot, sheet, *(sites[t] if t == table else () for t in ("joint", "actuator")))
+            known |= {table: getattr(found, table), "base": found.base}
+            time = f"time = {_inline(found.time)}"
+        except LogError as error:
+            why[table] = str(error)
+    lines = [f"# columns of {bare(sheet.where)}: {', '.join(map(bare, sheet.columns))}", time or '# time = "COLUMN"']
+    for table, names in sites.items():
+        lines += [f"[{table}]"] * bool(names)
+        mine = known.get(table, {})
+        lines += [f"{json.dumps(n)} = {_inline(mine[n])}" if n in mine else f'# {json.dumps(n)} = "COLUMN"' for n in names]
+    write_text(path, "\n".join(lines) + "\n")
+    for text in why.values():
+        console.warn(text)
+    left = sum(line.endswith('= "COLUMN"') for line in lines)
+    todo = f"name the {left} columns that are not guessed in it, then" if left else "check it, then"
+    command = shlex.join(["fishmj", "gap", "find", str(args.data), "--model", str(args.model), "--columns", str(path)])
+    console.say(f"written: {path}; {todo}: {command}")
+    if args.json:
+        console.emit_json({"map": path, "open": left})
+    return console.OK
+
+
+def _inline(column: Column | Stamp) -> str:
+    """A column in the notation of the map."""
+    told = {key: getattr(column, key) for key in ("column", "unit", "scale")}
+    kept = {key: value for key, value in told.items() if key == "column" or value not in ("", 1.0, None)}
+    return f"{{ {', '.join(f'{key} = {json.dumps(value, ensure_ascii=False)}' for key, value in kept.items())} }}"
 
 
 @one_blas_thread()
@@ -152,7 +218,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     if inert:
         console.say(f"left out, since no reading would show them: {', '.join(sorted(map(title, inert)))}")
     started = RigidRobot(robot, sizes, without=inert, stride=coarsest(robot, sizes, seen, inert))
-    model, _ = with_measured_errors(started, seen, null, progress.terminal_bar)
+    model = with_kept_errors(started, trials, seen, null)
     found = investigate(
         model,
         trials,
@@ -167,6 +233,37 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     e = found.evidence
     verdict = with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
     return replace(found, verdict=without_stand_in(verdict))
+
+
+def with_kept_errors(model: RigidRobot, trials: Sequence[Trial], seen: Sequence[RobotRecord], null: RobotNull) -> RigidRobot:
+    """The model with the measured errors of its torques. They and the null runs are kept, and read where they are."""
+    path = kept_at(search_key(model, trials, seen, null))
+    try:
+        kept = read_npz(path)
+    except StoreError:
+        kept = {}
+    layout = ResidualLayout(list(seen))
+    if "runs" in kept:
+        null.kept[null.key(model, seen, layout)] = kept["runs"]
+    else:
+        kept["runs"] = null.residuals(model, list(seen), layout, progress.terminal_bar)
+        write_npz(path, kept)
+    if "torque" in kept:
+        return model.with_errors(kept["torque"], kept["reference"])
+    measured, _ = with_measured_errors(model, seen, null, progress.terminal_bar)
+    write_npz(path, kept | {"torque": measured.torque_error, "reference": measured.reference})
+    return measured
+
+
+def search_key(model: RigidRobot, trials: Sequence[Trial], seen: Sequence[RobotRecord], null: RobotNull) -> str:
+    """Hash of what null runs and torques depend on: robot, effects, logs, settings, code, tolerances."""
+    compiled = np.empty(mujoco.mj_sizeModel(model.robot.model), np.uint8)
+    mujoco.mj_saveModel(model.robot.model, None, compiled)
+    effects = [(x.name, repr(x.parameters)) for x in model.active.effects]
+    logs = [readings_sha256(trial) for trial in trials], [r.name for r in seen]
+    made = digest("fishmj.gap.commands.find_robot"), sha256(resolve("robot")), sha256(resolve("gap"))
+    told = [*made, model.fingerprint, model.dt, model.robot.delays.tolist(), effects, logs, null.runs, null.noise, null.seed]
+    return hashlib.sha256(json.dumps(told).encode() + compiled.tobytes()).hexdigest()[:32]
 
 
 def robot_gates() -> Gates:

@@ -39,6 +39,12 @@ def of_columns(add) -> None:
     add("--yes", action="store_true", help="take the guessed columns without being asked")
 
 
+def of_written_map(add) -> None:
+    """Adds --write-map, of a robot in MJCF."""
+    written = "write the guessed columns of the logs of a robot in MJCF as a map for --columns, and end; default: search"
+    add("--write-map", type=console.out_file, metavar="MAP.toml", help=written)
+
+
 def of_seed(add, what: str) -> None:
     """Adds --seed."""
     add("--seed", type=console.whole(0, LAST_SEED), default=0, metavar="N", help=f"{what}, from 0 (default 0)")

@@ -9,6 +9,7 @@ The draws come from the model's own integrator, not from an independent one. So 
 tolerance of `torque`, and is not measured.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,9 +36,14 @@ class RobotNull:
         """Words for what is drawn."""
         return f"{self.runs} draws of the model within its tolerances, with the noise of the logs and nothing hidden"
 
+    @staticmethod
+    def key(model, records: Sequence, layout: ResidualLayout) -> tuple:
+        """Place in `kept` of a set of records."""
+        return (id(model.robot), layout.size, *(record.mark for record in records))
+
     def residuals(self, model, records: list, layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
         """(n, m) residuals of the present model on every draw. bars: of the draws."""
-        key = (id(model.robot), layout.size, *(record.mark for record in records))
+        key = self.key(model, records, layout)
         if key not in self.kept:
             self.kept[key] = self._drawn(model, records, layout, bars)
         return self.kept[key]

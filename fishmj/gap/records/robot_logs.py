@@ -47,14 +47,15 @@ INFO = Path("meta") / "info.json"  # of a LeRobot data set
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".npz", ".pt")
 TIME = {"t", "time", "timestamp", "stamp", "seconds", "sec"}
 POSITION = {"pos", "position", "q", "angle", "ang", "theta", "qpos", "deg", "rad", "state", "states", "observation"}
-JOINT = {"joint", "joints"}
+POSITION |= {"winkel", "phi", "posicion", "posizione"}
+JOINT = {"joint", "joints", "gelenk", "articulation"}
 ASKED = {"ctrl", "control", "con"} | header.COMMAND
-TORQUE = {"tau", "torque", "effort", "nm"}
+TORQUE = {"tau", "torque", "effort", "nm", "drehmoment", "moment"}
 OTHERS = {"dq", "qd", "qvel", "qacc", "fric", "voltage", "error"} | header.RATE | header.ACCELERATION
 OTHERS |= header.TEMPERATURE | header.CURRENT
 SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
-MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states"}
-CURRENT = {"current", "currents", "amp", "amps", "load", "pwm"}
+MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states", "ist", "gemessen", "mesure", "medido"}
+CURRENT = {"currents", "load", "pwm"} | header.CURRENT
 MILLI = {"mN": 1e-3, "mN m": 1e-3}  # N, N m
 POSE = (*PLACE, *QUATERNION)
 PLACED = {"pos", "position", "base", "pose", "p", "translation", "mocap", "location"}
@@ -90,20 +91,27 @@ class RobotColumns(NamedTuple):
         return [f"commands of {', '.join(measured)} are measured, not sent: their gain is that of a sensor"] if measured else []
 
 
-def read_columns(path: Path, joints: Sequence[str], actuators: Sequence[str], free: bool = False) -> RobotColumns:
-    """The map of a file. free: the model has a free base.
+def read_columns(
+    path: Path, joints: Sequence[str], actuators: Sequence[str], free: bool = False, columns: Sequence[str] = ()
+) -> RobotColumns:
+    """The map of a file. free: the model has a free base. columns: of the log, for the message on what is missing.
 
     Raises LogError: not TOML, an unknown key, or a joint, an actuator or the base of the model without a column.
     """
     raw, tables = map_table(path), {}
+    missing = [] if "time" in raw else ["time"]
     for table, names in (("joint", joints), ("actuator", actuators), ("base", POSE if free else ())):
         given = raw.get(table, {})
         known = set(given) if isinstance(given, dict) else set()
-        if known != set(names):
-            wrong = sorted(known ^ set(names))[0]
-            why = "the model has none of that name" if wrong in known else "is missing"
-            raise LogError(f"{path}: [{table}] {bare(wrong)}: {why}; expected a column for each of {', '.join(names)}")
-        tables[table] = {name: _in_its_unit(_column(given[name], f"{path}: [{table}] {name}", Column)) for name in names}
+        if wrong := sorted(known - set(names)):
+            raise LogError(f"{path}: [{table}] {bare(wrong[0])}: the model has none of that name; it has {', '.join(names)}")
+        missing += [f"[{table}] {name}" for name in names if name not in known]
+        tables[table] = {
+            name: _in_its_unit(_column(given[name], f"{path}: [{table}] {name}", Column)) for name in names if name in known
+        }
+    if missing:
+        are = f"{'is' if len(missing) == 1 else 'are'} missing; expected a column for each"
+        raise LogError(f"{path}: {', '.join(missing)}: {are}{f', of {_listed(columns)}' if columns else ''}")
     if unknown := sorted(set(raw) - {"time", "joint", "actuator", "base"}):
         raise LogError(f"{path}: {bare(unknown[0])} is no key; expected time, [joint], [actuator] and [base]")
     return RobotColumns(_column(raw.get("time"), f"{path}: time", Stamp), **tables)
@@ -197,6 +205,7 @@ def _length(column: str) -> str:
 def _stamp(names: Sequence[str], units: Mapping[str, str]) -> Stamp:
     """The column of stamps and its unit. Raises LogError: none, or several."""
     found = [n for n in names if _words(n) & TIME and measures(units.get(n, "")) in ("", "time")]
+    found = found or [n for n in names if header.role(header.parse(n), set()).places == ("t",)]  # in other languages
     plain = [n for n in found if _words(n) <= TIME | {units.get(n, "")} and not re.search(r"\d", n)]
     found = plain or found
     if len(found) != 1:

@@ -52,6 +52,8 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
     **{"akkuspannung": "spannung akku", "batteriespannung": "spannung akku"},
     **{"akkustrom": "strom akku", "batteriestrom": "strom akku", "sollwert": "soll", "istwert": "ist"},
     **{"sollwinkel": "soll winkel", "stellwinkel": "soll winkel", "istwinkel": "ist winkel"},
+    **{"sollmoment": "soll drehmoment", "stellmoment": "soll drehmoment", "istmoment": "ist drehmoment"},
+    **{"sollstrom": "soll strom", "iststrom": "ist strom", "gelenkwinkel": "gelenk winkel"},
     **{"setpoint": "target", "zeitstempel": "zeit stempel", "winkelgeschwindigkeit": "winkel rate"},
     **{"yawrate": "yaw rate", "gierrate": "yaw rate", "rollrate": "roll rate"},
     **{"yawangle": "yaw angle", "gierwinkel": "yaw angle", "easting": "x east", "northing": "y north"},
