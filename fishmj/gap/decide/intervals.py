@@ -111,17 +111,14 @@ def _regularised(normal: np.ndarray) -> np.ndarray:
     return normal + np.diag(1e-9 * np.diag(normal) + 1e-300) + 1e-12 * np.trace(normal) * np.eye(len(normal))
 
 
-TRIES, NEAR = 5, 2.0  # evaluations towards the asked gain, and the ratio to it that counts as reached
-
-
 def missed_sizes(search: EffectFitter, row: np.ndarray, gain: float) -> dict[str, dict]:
     """Largest value at which each effect of one number, alone, gains less than asked: {effect: {value, null, unit}}.
 
     The change of the whitened residual from a row (P,) is its gain where it is the truth. It grows as the square of the size,
-    which is corrected at `TRIES` values. Of a signed number the side that shows less counts. value: None if none in range shows.
+    which is corrected at a few values. Of a signed number the side that shows less counts. value: None if none in range shows.
     Effects that draw or need an exact value are left out, and those that do not settle.
     """
-    model, low_high = search.model, bounds(search.model)[:2]
+    model, low_high, limits = search.model, bounds(search.model)[:2], thresholds().intervals
     drawn = {x.name for x in draws(model)}
     tried = []  # (effect, its number, place in the row, deviation from none)
     for x in model.active.effects:
@@ -134,17 +131,17 @@ def missed_sizes(search: EffectFitter, row: np.ndarray, gain: float) -> dict[str
     places, away = np.array([place for _, _, place, _ in tried]), np.array([size for *_, size in tried])
     most = np.where(away > 0, low_high[1][places], low_high[0][places]) - row[places]
     away, start = np.where(np.abs(away) < np.abs(most), away, most), search.z(row[None])
-    for k in range(TRIES):
+    for k in range(limits.missed_tries):
         rows = np.tile(row, (len(tried), 1))
         rows[np.arange(len(tried)), places] += away
         change = np.sum((search.z(rows) - start) ** 2, 1)
-        if k < TRIES - 1:
+        if k < limits.missed_tries - 1:
             ratio = np.clip(np.sqrt(gain / np.maximum(change, 1e-9)), 0.01, 100.0)
             away = np.where(np.abs(away * ratio) < np.abs(most), away * ratio, most)
     found: dict[str, dict] = {}
     for (name, p, place, _), size, whole, gained in zip(tried, away, most, change, strict=True):
         never = size == whole and gained < gain
-        if never or gain / NEAR < gained < gain * NEAR:
+        if never or gain / limits.missed_near < gained < gain * limits.missed_near:
             told = {"value": None if never else float(row[place] + size), "null": p.null, "unit": p.unit}
             seen = found.get(name, told)
             larger = seen["value"] is not None and (never or abs(size) > abs(seen["value"] - p.null))
