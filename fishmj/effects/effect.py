@@ -151,8 +151,8 @@ class Effect:
     about: str
     formula: str
     source: str
-    parameters: tuple[Parameter, ...]
-    shows: tuple[str, ...]
+    parameters: tuple[Parameter, ...] = ()
+    shows: tuple[str, ...] = ()
     confusions: tuple[Confusion, ...] = ()
     native: str = ""
     memory: tuple[float, ...] = ()

@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="cables, hoses or a flexible cover pull a joint to its rest angle",
     formula="tau = -k (q - q_rest)",
     source="cable bundles of small arms: 0.02 to 0.5 N m/rad",
-    parameters=(),
-    shows=(),
     native="joint stiffness",
     robot=RobotForm(
         site="joint",

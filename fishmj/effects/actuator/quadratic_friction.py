@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="churning grease, a fan on the shaft, or a link that stirs air or water",
     formula="tau = -D |w| w",
     source="seals and fans: a few per cent of the torque at full speed",
-    parameters=(),
-    shows=(),
     native="joint damping, its second number",
     robot=RobotForm(
         site="joint",

@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="rotor and gears turn N times as fast as the joint: an inertia J N^2 that no link shows",
     formula="tau = -J N^2 dw/dt",
     source="quasi-direct drives: 0.001 to 0.05 kg m2 at the joint; hobby servos 0.002 to 0.02",
-    parameters=(),
-    shows=(),
     native="joint armature",
     robot=RobotForm(
         site="joint",

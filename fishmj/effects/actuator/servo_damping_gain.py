@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="the derivative gain of a position or velocity controller is not what the description says",
     formula="k_v' = (1 + g) k_v",
     source="firmware units of gains are seldom stated: 10 to 50 %",
-    parameters=(),
-    shows=(),
     native="actuator biasprm",
     robot=RobotForm(
         site="actuator",

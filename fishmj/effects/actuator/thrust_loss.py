@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="an empty battery, thin air or worn propellers: every thruster gives the same share less, or more",
     formula="F' = (1 - s) F",
     source="a lithium cell falls from 4.2 to 3.5 V: up to 30 % of the thrust",
-    parameters=(),
-    shows=(),
     native="actuator gainprm",
     robot=RobotForm(
         site="thrusters",

@@ -23,8 +23,6 @@ EFFECT = Effect(
     about="rotor and propeller take time to speed up: force follows its command as a first-order lag",
     formula="T dF/dt = F_c - F",
     source="propellers of 0.1 to 0.3 m: 15 to 80 ms",
-    parameters=(),
-    shows=(),
     native="actuator dyntype filter",
     robot=RobotForm(
         site="thrusters",

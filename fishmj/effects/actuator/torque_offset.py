@@ -16,8 +16,6 @@ EFFECT = Effect(
     about="the current sensor's zero is off, or a cable pulls: a torque that is there without a command",
     formula="tau' = tau + o",
     source="quasi-direct drive of a pendulum: -0.076 N m (torque_limited_simple_pendulum)",
-    parameters=(),
-    shows=(),
     native="actuator biasprm",
     robot=RobotForm(
         site="actuator",

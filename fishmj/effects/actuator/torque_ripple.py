@@ -17,8 +17,6 @@ EFFECT = Effect(
     about="poles and slots of a motor attract each other (cogging), or a gear runs out of round: a torque periodic in the angle",
     formula="tau = a sin(2 pi q / P) + b cos(2 pi q / P)",
     source="direct and quasi-direct drives: 1 to 10 % of the rated torque, 6 to 60 periods a turn of the joint",
-    parameters=(),
-    shows=(),
     robot=RobotForm(
         site="joint",
         scale=("torque", "torque", ""),

@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="air or water drags at fast links, with the square of their speed",
     formula="F = -rho/2 C A |v| v",
     source="air 1.2 kg/m3; sails and covers act like several times that",
-    parameters=(),
-    shows=(),
     native="option density",
     robot=RobotForm(
         site="robot",

@@ -21,8 +21,6 @@ EFFECT = Effect(
     about="table or floor is not level: gravity pulls to one side",
     formula="g' = R_x(-roll) R_y(-pitch) g",
     source="tables and floors: 0.2 to 3 deg",
-    parameters=(),
-    shows=(),
     native="option gravity",
     robot=RobotForm(
         site="base",

@@ -17,8 +17,6 @@ EFFECT = Effect(
     about="a fan, or weather, pushes links that are large for their weight",
     formula="F = rho/2 C A |w - v| (w - v)",
     source="fans 3 to 6 m/s",
-    parameters=(),
-    shows=(),
     native="option wind, density",
     robot=RobotForm(
         site="robot",

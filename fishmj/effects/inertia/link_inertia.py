@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="the inertia of a link about its centre of mass, as from a drawing without screws and cables, is off",
     formula="I' = (1 + s) I",
     source="drawings against bifilar pendulums: 5 to 30 %",
-    parameters=(),
-    shows=(),
     native="body inertial",
     robot=RobotForm(
         site="body",

@@ -33,8 +33,6 @@ EFFECT = Effect(
     about="a gripper, a tool or what it carries is not in the description",
     formula="m' = m + dm at 2 r",
     source="tools of small arms: 5 to 50 % of the last link",
-    parameters=(),
-    shows=(),
     native="body inertial",
     robot=RobotForm(
         site="body",

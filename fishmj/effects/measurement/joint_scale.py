@@ -14,8 +14,6 @@ EFFECT = Effect(
     about="counts per turn, or the ratio of the gears behind the encoder, are off",
     formula="reading = (1 + s) q",
     source="potentiometers 1 to 3 %; a wrong gear ratio 5 % and more",
-    parameters=(),
-    shows=(),
     native="",
     robot=RobotForm(
         site="joint",

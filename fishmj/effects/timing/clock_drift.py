@@ -8,8 +8,6 @@ EFFECT = Effect(
     about="two computers without a time server stamp commands and readings",
     formula="t_reading = r t",
     source="quartz: 10 to 100 ppm; microcontrollers with a resonator: 0.1 to 0.5 %",
-    parameters=(),
-    shows=(),
     native="",
     drifts={"joint": "rate"},
     robot=RobotForm(

@@ -34,8 +34,6 @@ EFFECT = Effect(
     about="the bus or the firmware takes a command only every so often, and holds it",
     formula="c'(t) = c(T floor(t / T))",
     source="bus servos: 5 to 40 ms",
-    parameters=(),
-    shows=(),
     native="",
     robot=RobotForm(
         site="robot",

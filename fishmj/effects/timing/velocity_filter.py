@@ -9,7 +9,6 @@ EFFECT = Effect(
     formula="velocity_log(t) = velocity(t - time)",
     source="straight-line fits and low passes on camera poses: 40 to 150 ms of group delay",
     parameters=(Parameter(name="time", unit="s", low=0.0, high=0.5, typical=(0.04, 0.15)),),
-    shows=(),
     confusions=(
         Confusion("camera_latency", "logged velocity against the differences of logged poses", ("burst_and_coast", "turn_left")),
     ),
