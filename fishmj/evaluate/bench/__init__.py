@@ -2,8 +2,8 @@
 
 A benchmark is a function that prepares and returns a `BenchmarkWork`; other modules add their own:
 
-    @benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
-    def engine_planar(quick: bool) -> BenchmarkWork: ...
+    @benchmark("environment", "control steps/s", baseline=bare_mujoco)
+    def environment(quick: bool) -> BenchmarkWork: ...
 
 `BenchmarkWork.run()` does `BenchmarkWork.amount` units of work. Rounds go A B A B ...; a figure is the median over rounds.
 """
@@ -38,11 +38,7 @@ class Benchmark(NamedTuple):
     unit: str
     prepare: Prepare
     baseline: Prepare | None
-
-    @property
-    def summary(self) -> str:
-        """First line of the docstring of `prepare`."""
-        return (self.prepare.__doc__ or "").strip().partition("\n")[0]
+    summary: str = ""  # a line for the list
 
 
 REGISTRY: dict[str, Benchmark] = {}
@@ -59,11 +55,16 @@ class NotHere(Exception):
     """Raised by a `prepare` that cannot run on this machine; the message is the reason."""
 
 
+def add(name: str, unit: str, summary: str, prepare: Prepare, baseline: Prepare | None = None) -> None:
+    """Registers `prepare(quick)` under a name; `baseline` is another `prepare` with the same unit."""
+    REGISTRY[name] = Benchmark(name, unit, prepare, baseline, summary)
+
+
 def benchmark(name: str, unit: str, baseline: Prepare | None = None) -> Callable[[Prepare], Prepare]:
-    """Returns a decorator that registers `prepare(quick)` under a name; `baseline` is another `prepare` with the same unit."""
+    """Returns a decorator that registers a function as `add` does; the first line of its docstring is the summary."""
 
     def register(prepare: Prepare) -> Prepare:
-        REGISTRY[name] = Benchmark(name, unit, prepare, baseline)
+        add(name, unit, (prepare.__doc__ or "").strip().partition("\n")[0], prepare, baseline)
         return prepare
 
     return register

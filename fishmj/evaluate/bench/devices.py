@@ -8,11 +8,12 @@ As in `--device cuda:all`, every GPU has a process of its own with enough tanks 
 import traceback
 import weakref
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from fishmj.base import processes
 from fishmj.base.errors import ConfigError
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, add
 from fishmj.evaluate.bench.oracle import TANKS, TANKS_CPU, TICKS, TICKS_CPU, TICKS_QUICK, _resting
 
 PATIENCE = 5.0  # s that a process has to end
@@ -92,24 +93,11 @@ def gpus(count: int) -> tuple[str, ...]:
     return found[:count]
 
 
-def one_gpu(quick: bool) -> BenchmarkWork:
-    """The same tanks on one GPU, in a process of its own too."""
-    return scaled(gpus(1), quick)
+def on_gpus(count: int, quick: bool) -> BenchmarkWork:
+    """Tanks on the first `count` GPUs, on a single one in a process of its own too."""
+    return scaled(gpus(count), quick)
 
 
-@benchmark("oracle_devices_2", "tank-steps/s", baseline=one_gpu)
-def two_gpus(quick: bool) -> BenchmarkWork:
-    """Twelve tanks on each of two GPUs of this host, beside twelve on one."""
-    return scaled(gpus(2), quick)
-
-
-@benchmark("oracle_devices_4", "tank-steps/s", baseline=one_gpu)
-def four_gpus(quick: bool) -> BenchmarkWork:
-    """The same on four."""
-    return scaled(gpus(4), quick)
-
-
-@benchmark("oracle_devices_8", "tank-steps/s", baseline=one_gpu)
-def eight_gpus(quick: bool) -> BenchmarkWork:
-    """The same on eight."""
-    return scaled(gpus(8), quick)
+for _count, _said in ((2, "Twelve tanks on each of two GPUs of this host, beside twelve on one."), (4, "The same on four."),
+                      (8, "The same on eight.")):  # fmt: skip
+    add(f"oracle_devices_{_count}", "tank-steps/s", _said, partial(on_gpus, _count), partial(on_gpus, 1))

@@ -4,10 +4,12 @@ The baseline of each is bare MuJoCo on one core: `mj_step` of the same robot wit
 physics steps counted as control steps.
 """
 
+from functools import partial
+
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, add, benchmark
 from fishmj.water.choice import in_water, label
 
 SEED = 5
@@ -126,28 +128,18 @@ def _on_gpu() -> bool:
     return jax.default_backend() == "gpu"
 
 
-@benchmark("engine_planar", "control steps/s", baseline=bare_mujoco)
-def engine_planar(quick: bool) -> BenchmarkWork:
-    """Closed-form planar fish in JAX."""
-    return _engine("planar", 131072 if _on_gpu() else 256, 2 if quick else 10)
+def _sized(name: str, gpu: int, cpu: int, fast: int, chunks: int, few: int, quick: bool) -> BenchmarkWork:
+    """`_engine` with so many fish on a GPU, on a CPU and there with --quick, and so many control steps, or few with --quick."""
+    return _engine(name, gpu if gpu and _on_gpu() else fast if quick else cpu, few if quick else chunks)
 
 
-@benchmark("engine_compiled", "control steps/s", baseline=bare_mujoco)
-def engine_compiled(quick: bool) -> BenchmarkWork:
-    """Closed-form planar fish compiled for the CPU."""
-    return _engine("compiled", 256 if quick else 4096, 2 if quick else 5)
-
-
-@benchmark("engine_batch", "control steps/s", baseline=bare_mujoco)
-def engine_batch(quick: bool) -> BenchmarkWork:
-    """MuJoCo in C, many fish at once, with the water."""
-    return _engine("batch", 64 if quick else 256, 1 if quick else 4)
-
-
-@benchmark("engine_mjx", "control steps/s", baseline=bare_mujoco)
-def engine_mjx(quick: bool) -> BenchmarkWork:
-    """MuJoCo in JAX with the water."""
-    return _engine("mjx", 16384 if _on_gpu() else 16 if quick else 128, 1 if quick else 2)
+for _name, _said, _sizes in (
+    ("planar", "Closed-form planar fish in JAX.", (131072, 256, 256, 10, 2)),
+    ("compiled", "Closed-form planar fish compiled for the CPU.", (0, 4096, 256, 5, 2)),
+    ("batch", "MuJoCo in C, many fish at once, with the water.", (0, 256, 64, 4, 1)),
+    ("mjx", "MuJoCo in JAX with the water.", (16384, 128, 16, 2, 1)),
+):
+    add(f"engine_{_name}", "control steps/s", _said, partial(_sized, _name, *_sizes), bare_mujoco)
 
 
 @benchmark("environment", "control steps/s", baseline=bare_mujoco)

@@ -1,22 +1,12 @@
 """Cost of a physics step for each coupling of the water to the fish, with and without the learnt residual.
 
-| benchmark | way | baseline |
-|---|---|---|
-| hydro_passive | mjcb_passive, NumPy, one fish | bare `mj_step` |
-| hydro_passive_residual | mjcb_passive with the residual | hydro_passive |
-| hydro_wrench_residual | xfrc_applied with the residual, NumPy, one fish | hydro_passive_residual |
-| hydro_ellipsoid | MuJoCo's own fluid, C, one fish | bare `mj_step` |
-| hydro_batch_residual | engine `batch`, strips and residual | the strips alone |
-| hydro_compiled_residual | engine `compiled`, strips and residual | the strips alone |
-| hydro_mjx_residual | engine `mjx`, strips and residual | the strips alone |
-| hydro_residual | closed form in JAX, a long swim | the strips alone |
-
+Each with the residual is compared with the strips alone, MuJoCo's own fluid with a bare `mj_step`; the table is at the end.
 Nominal fish, one gait, still water; `engine_*` measure engines with randomised fish, latency and turbulence, strips alone.
 """
 
 import atexit
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -24,7 +14,7 @@ from tempfile import mkdtemp
 import numpy as np
 
 from fishmj.base.errors import FishmjError
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, add
 from fishmj.evaluate.bench.engines import on_device
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
@@ -108,35 +98,6 @@ def _alone(quick: bool, water: str) -> BenchmarkWork:
     return _finite(run, water, steps)
 
 
-def bare_steps(quick: bool) -> BenchmarkWork:
-    """`mj_step` of the fish without water, from Python."""
-    return _alone(quick, "none")
-
-
-@benchmark("hydro_passive", "physics steps/s", baseline=bare_steps)
-def hydro_passive(quick: bool) -> BenchmarkWork:
-    """Strips through mjcb_passive in NumPy, one fish."""
-    return _alone(quick, "passive")
-
-
-@benchmark("hydro_passive_residual", "physics steps/s", baseline=hydro_passive)
-def hydro_passive_residual(quick: bool) -> BenchmarkWork:
-    """Strips and residual through mjcb_passive in NumPy, one fish."""
-    return _alone(quick, "residual")
-
-
-@benchmark("hydro_wrench_residual", "physics steps/s", baseline=hydro_passive_residual)
-def hydro_wrench_residual(quick: bool) -> BenchmarkWork:
-    """Strips and residual as wrenches of the links in xfrc_applied, in NumPy, one fish."""
-    return _alone(quick, "wrench")
-
-
-@benchmark("hydro_ellipsoid", "physics steps/s", baseline=bare_steps)
-def hydro_ellipsoid(quick: bool) -> BenchmarkWork:
-    """MuJoCo's own fluid, one fish."""
-    return _alone(quick, "ellipsoid")
-
-
 # engines: many fish
 
 
@@ -162,36 +123,8 @@ def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> B
     return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
 
 
-def hydro_batch(quick: bool) -> BenchmarkWork:
-    """Strips in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
-    return _engine("batch", quick)
-
-
-@benchmark("hydro_batch_residual", "physics steps/s", baseline=hydro_batch)
-def hydro_batch_residual(quick: bool) -> BenchmarkWork:
-    """Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form."""
-    return _engine("batch", quick, True)
-
-
-def hydro_compiled(quick: bool) -> BenchmarkWork:
-    """Strips in the compiled engine."""
-    return _engine("compiled", quick, fish=FISH_COMPILED)
-
-
-@benchmark("hydro_compiled_residual", "physics steps/s", baseline=hydro_compiled)
-def hydro_compiled_residual(quick: bool) -> BenchmarkWork:
-    """Strips and residual in the compiled engine; 50 physics steps are a control step."""
-    return _engine("compiled", quick, True, FISH_COMPILED)
-
-
-def hydro_mjx(quick: bool) -> BenchmarkWork:
-    """Strips in MJX, a batch."""
-    return _engine("mjx", quick)
-
-
-@benchmark("hydro_mjx_residual", "physics steps/s", baseline=hydro_mjx)
 def hydro_mjx_residual(quick: bool) -> BenchmarkWork:
-    """Strips and residual in MJX, a batch; not with --quick."""
+    """Strips and residual in MJX. Raises NotHere: with --quick."""
     if quick:
         raise NotHere("compiling MJX with the residual takes half a minute of CPU; run it without --quick")
     return _engine("mjx", quick, True)
@@ -224,12 +157,24 @@ def _swim(quick: bool, learnt: bool) -> BenchmarkWork:
     return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
 
 
-def hydro_base(quick: bool) -> BenchmarkWork:
-    """The strips alone."""
-    return _swim(quick, False)
-
-
-@benchmark("hydro_residual", "physics steps/s", baseline=hydro_base)
-def hydro_residual(quick: bool) -> BenchmarkWork:
-    """Strips with the learnt residual, a batch of fish in JAX."""
-    return _swim(quick, True)
+passive, residual = partial(_alone, water="passive"), partial(_alone, water="residual")
+bare_steps, many, compiled = (
+    partial(_alone, water="none"),
+    partial(_engine, "batch"),
+    partial(_engine, "compiled", fish=FISH_COMPILED),
+)
+for _name, _said, _prepare, _baseline in (
+    ("passive", "Strips through mjcb_passive in NumPy, one fish.", passive, bare_steps),
+    ("passive_residual", "Strips and residual through mjcb_passive in NumPy, one fish.", residual, passive),
+    ("wrench_residual", "Strips and residual as wrenches of the links in xfrc_applied, in NumPy, one fish.",
+     partial(_alone, water="wrench"), residual),
+    ("ellipsoid", "MuJoCo's own fluid, one fish.", partial(_alone, water="ellipsoid"), bare_steps),
+    ("batch_residual", "Strips and residual in MuJoCo's C engine, a batch, qfrc_applied by the compiled closed form.",
+     partial(many, learnt=True), many),
+    ("compiled_residual", "Strips and residual in the compiled engine; 50 physics steps are a control step.",
+     partial(compiled, learnt=True), compiled),
+    ("mjx_residual", "Strips and residual in MJX, a batch; not with --quick.", hydro_mjx_residual, partial(_engine, "mjx")),
+    ("residual", "Strips with the learnt residual, a batch of fish in JAX.",
+     partial(_swim, learnt=True), partial(_swim, learnt=False)),
+):  # fmt: skip
+    add(f"hydro_{_name}", "physics steps/s", _said, _prepare, _baseline)

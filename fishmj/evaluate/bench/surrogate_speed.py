@@ -1,19 +1,16 @@
 """Speed of the fitted water relative to the flow solver: simulated seconds of swimming in a second, on the same device.
 
-| benchmark | what | baseline |
-|---|---|---|
-| surrogate_strips | closed form in JAX, strips alone, a full batch | the solver's coupled fish, one tank |
-| surrogate | the same with a learnt residual | the solver's coupled fish, one tank |
-| surrogate_mjx | MuJoCo in JAX, strips alone | the solver's coupled fish, one tank |
-
-The seconds of all fish of a batch are added up. Nominal fish, one gait, still water; the solver's tank is that of `oracle_tank`.
+The baseline of each is the solver's coupled fish in one tank, that of `oracle_tank`. The seconds of all fish of a batch are
+added up. Nominal fish, one gait, still water.
 """
+
+from functools import partial
 
 import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.base.errors import FishmjError
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark, oracle
+from fishmj.evaluate.bench import BenchmarkWork, NotHere, add, benchmark, oracle
 from fishmj.evaluate.bench import hydro as water
 from fishmj.evaluate.bench.engines import on_device
 
@@ -75,19 +72,12 @@ def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **optio
     return water._finite(lambda: np.asarray(swim(state, params, current, beat)), name, seconds, device.device_kind)
 
 
-@benchmark("surrogate_strips", "simulated s/s", baseline=coupled_tank)
-def surrogate_strips(quick: bool) -> BenchmarkWork:
-    """Closed form in JAX, strips alone, a full batch."""
-    return swum("planar", quick)
+UNIT, planar = "simulated s/s", partial(swum, "planar")
+add("surrogate_strips", UNIT, "Closed form in JAX, strips alone, a full batch.", planar, coupled_tank)
+add("surrogate", UNIT, "Closed form in JAX with a learnt residual, a full batch.", partial(planar, learnt=True), coupled_tank)
 
 
-@benchmark("surrogate", "simulated s/s", baseline=coupled_tank)
-def surrogate(quick: bool) -> BenchmarkWork:
-    """Closed form in JAX with a learnt residual, a full batch."""
-    return swum("planar", quick, True)
-
-
-@benchmark("surrogate_mjx", "simulated s/s", baseline=coupled_tank)
+@benchmark("surrogate_mjx", UNIT, baseline=coupled_tank)
 def surrogate_mjx(quick: bool) -> BenchmarkWork:
     """MuJoCo in JAX, strips alone; not with --quick."""
     if quick:
