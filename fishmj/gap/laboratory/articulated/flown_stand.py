@@ -18,7 +18,7 @@ from fishmj.gap.laboratory.articulated.flown_faults import FLOWN
 from fishmj.gap.laboratory.articulated.flown_plant import FlownMujoco
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion, with_hidden
 from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, tolerances, within_tolerance
-from fishmj.gap.laboratory.articulated.robot_stand import SEGMENT, SLOW, Channel, over_scatter, pushes, pushes_at, timing_of
+from fishmj.gap.laboratory.articulated.robot_stand import SLOW, Channel, over_scatter, pushes, pushes_at, replay, timing_of
 
 REACH, TONES = 0.7, (0.12, 0.6)  # m; Hz of places
 WIGGLE, QUICK = 0.12, (0.8, 2.2)  # rad; Hz of roll and pitch
@@ -150,20 +150,6 @@ def _seen(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
     return np.concatenate([pose[..., :3] + noise[..., :3], turn.as_quat(scalar_first=True)], -1)
 
 
-def replay(plant: Any, log: FlownLog, stand: FlownStand, push: np.ndarray) -> np.ndarray:
-    """(K, 7) poses under the logged commands, each segment from the logged state."""
-    every, length = round(stand.tick / plant.h), round(SEGMENT / stand.tick)
-    causeless = pushes_at(push, plant.h * np.arange(len(log.t) * every))
-    out = np.empty_like(log.clean)
-    for k in range(len(log.t)):
-        if k % length == 0:
-            plant.start(log.states[k, :7], log.states[k, 7:], log.t[k])
-        out[k] = plant.q
-        for n in range(k * every, (k + 1) * every):
-            plant.step(log.commands[k], causeless[n])
-    return out
-
-
 def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(K, 6) difference of poses: m, and rotation vectors, rad."""
     a, b = (Rotation.from_quat(pose[:, 3:], scalar_first=True) for pose in (one, other))
@@ -208,5 +194,5 @@ def flown_visibility(
 ) -> float:
     """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest."""
     noise = np.repeat([stand.place, stand.turn], 3) ** 2
-    replayed = lambda plan, log, push: replay(build(plan, {}), log, stand, push)
+    replayed = lambda plan, log, push: replay(build(plan, {}), log, stand, push, lambda state: (state[:7], state[7:]))
     return over_scatter(replayed, apart, noise, described, stand.seconds, usual, seed, logs)

@@ -256,17 +256,20 @@ def pushes_at(push: np.ndarray, times: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(times, knots, column) for column in push.T], 1)
 
 
-def replay(plant: Any, log: LogRun, stand: Stand, push: np.ndarray) -> np.ndarray:
-    """(K, J) angles under the logged commands, each segment from the logged state."""
+def replay(plant: Any, log: Any, stand: Any, push: np.ndarray, split: Callable = tuple) -> np.ndarray:
+    """(K, J) angles, or (K, 7) poses, under the logged commands, each segment from the logged state.
+
+    split: a row of `log.states` -> places and rates.
+    """
     every, length = round(stand.tick / plant.h), round(SEGMENT / stand.tick)
-    torque = pushes_at(push, plant.h * np.arange(len(log.t) * every))
+    causeless = pushes_at(push, plant.h * np.arange(len(log.t) * every))
     out = np.empty_like(log.clean)
     for k in range(len(log.t)):
         if k % length == 0:
-            plant.start(log.states[k, 0], log.states[k, 1], log.t[k])
+            plant.start(*split(log.states[k]), log.t[k])
         out[k] = plant.q
-        for s in range(every):
-            plant.step(log.commands[k], torque[k * every + s])
+        for n in range(k * every, (k + 1) * every):
+            plant.step(log.commands[k], causeless[n])
     return out
 
 
