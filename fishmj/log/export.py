@@ -214,7 +214,7 @@ def _mcap(trial: Trial, path: Path, solids: tuple[Solid, ...], tell: Callable[[f
     """Writes every table as its own topic, the topics of the 3D panel, and the meta data as attachment and as metadata record."""
     from mcap.writer import Writer
 
-    text, zero = _meta_text(trial), _zero(trial)
+    text, zero = _meta_text(trial), min(0.0, trial.span[0])  # s: MCAP has no time before 0; the messages' own `t` stays
     rows = {name: len(table["t"]) for name, table in trial.tables.items()}
     total = sum(rows.values()) + sum(2 * rows.get(name, 0) for name in ("pose", "truth"))  # about: frames and poses beside them
     with open(path, "wb") as file:
@@ -304,11 +304,6 @@ def _bent(stamps, angles: np.ndarray, solids: tuple[Solid, ...], zero: float) ->
     for row, (t, bend) in enumerate(zip(np.asarray(stamps, float).tolist(), angles.tolist(), strict=True)):
         at = _ns(t, zero)
         yield at, row, "/tf_links", foxglove.links(at, solids, bend)
-
-
-def _zero(trial: Trial) -> float:
-    """Time [s] to subtract from stamps for log times, because MCAP has none before 0. The messages' own `t` stays."""
-    return min(0.0, trial.span[0])
 
 
 def _ns(t: float, zero: float) -> int:

@@ -10,8 +10,9 @@ from typing import Any
 
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
+from fishmj.base.errors import FishmjError
 from fishmj.base.plain_file import why_unreadable
-from fishmj.mjcf.description import LIFT_ROUNDED, Servo, Timing
+from fishmj.mjcf.description import COMMAND_PATHS, LIFT_ROUNDED, Servo, Timing
 from fishmj.mjcf.description_schema import KeyFault, shown
 from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 
@@ -245,8 +246,6 @@ def _part(step: float, n: int) -> float:
 
 def timing(given: Mapping[str, Any]) -> Iterator[KeyFault]:
     """Errors of steps that do not nest (physics into bus into control), with the nearest valid value of either step."""
-    from fishmj.mjcf.description import COMMAND_PATHS, Timing
-
     t = vars(Timing()) | dict(given)
     for small, large in (("physics_dt", "bus_dt"), ("bus_dt", "control_dt")):
         a, b = t[small], t[large]
@@ -351,7 +350,6 @@ def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None) -> Itera
     """Errors from the catalogue's own checks; the catalogue is loaded only for a fish that has effects."""
     if not blocks:
         return
-    from fishmj.base.errors import FishmjError
     from fishmj.effects import catalogue, effect_calibration
 
     names = [block["name"] for block in blocks]

@@ -57,7 +57,7 @@ def watch(wanted: Mapping[str, Any], lines: Iterable[Rows], tell: Callable[[dict
             alarms = monitor.update(part)
             if monitor.settled and not settled:
                 settled = True
-                tell({"watching": list(monitor.blocks.probes), "t": _newest(part)})
+                tell({"watching": list(monitor.blocks.probes), "t": max(table["t"][-1] for table in part.values())})
             for alarm in alarms:
                 tell({"alarm": alarm._asdict()})
         waiting = []
@@ -99,10 +99,6 @@ def _long_enough(waiting: list[Rows]) -> bool:
     """Returns True once commands have come for long enough to know the available tables."""
     t = [t for rows in waiting for t in rows.get("cmd", {}).get("t", [])]
     return bool(t) and t[-1] - t[0] >= LOOK
-
-
-def _newest(rows: Rows) -> float:
-    return max(table["t"][-1] for table in rows.values())
 
 
 def main(argv: list[str]) -> int:

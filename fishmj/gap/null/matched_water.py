@@ -14,7 +14,7 @@ from itertools import count
 import numpy as np
 from scipy.optimize import least_squares
 
-from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
+from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales, nominal
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records.movement import mean_speed_and_yaw_rate
 from fishmj.gap.records.records import record_of
@@ -64,7 +64,6 @@ def matched(model, tick: Callable[[int], None] = lambda done: None) -> WaterScal
 
 def swim_second_robot(robot: Robot, scales: WaterScales, dt: float) -> list:
     """Records of the second robot on `SWIMS`, without noise and with its nominal constants."""
-    from fishmj.gap.laboratory.virtual_robot.robot_constants import nominal
     from fishmj.gap.laboratory.virtual_robot.trials import trial_of
 
     made, out = nominal(robot, scales=scales), []

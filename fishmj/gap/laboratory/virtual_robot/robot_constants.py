@@ -118,7 +118,7 @@ def nominal(
     for key in ("drag_round", "drag_flat", "friction", "head_forward", "head_backward", "edge", "wagner_lengths"):
         wet[key] = drawn(wet[key])
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
-    frontal = _frontal(robot)
+    frontal = max(pi / 4 * h * w for link in robot.links for _, h, w in link.sections)
     head = 0.5 * rho * frontal * wet["head_forward"]
     water = constants.WaterConstants(
         active=float(medium == "water"),
@@ -178,8 +178,3 @@ def electrical(servo: Servo) -> tuple[float, float]:
         return servo.resistance, servo.constant
     constant = servo.voltage / servo.speed_no_load
     return constant * servo.voltage / servo.torque, constant
-
-
-def _frontal(robot: Robot) -> float:
-    """Largest cross-section of the drawn outline, m2."""
-    return max(pi / 4 * h * w for link in robot.links for _, h, w in link.sections)
