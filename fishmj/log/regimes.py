@@ -76,13 +76,7 @@ class Regimes:
         return inside & self.is_[label][np.clip(index, 0, None)]
 
 
-def label(
-    trial: Trial,
-    *,
-    beat: float | None = None,
-    body: float = 0.54,
-    tank: tuple[float, float] | None = None,
-) -> Regimes:
+def label(trial: Trial, *, beat: float | None = None, body: float = 0.54, tank: tuple[float, float] | None = None) -> Regimes:
     """Labels the windows of one trial.
 
     Args:

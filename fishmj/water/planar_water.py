@@ -51,10 +51,7 @@ class PlanarWater:
     unnamed = "ambient"  # what is to blame where no term with a name is
 
     def __init__(
-        self,
-        robot: Robot,
-        swimmer: planar_chain.Swimmer | None = None,
-        learnt: "residual_hooks.Residual | None" = None,
+        self, robot: Robot, swimmer: planar_chain.Swimmer | None = None, learnt: "residual_hooks.Residual | None" = None
     ):
         self.robot, self.learnt = robot, learnt
         self.chain = planar_chain.chain_of(robot)

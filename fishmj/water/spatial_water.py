@@ -46,10 +46,7 @@ class FreeWater(planar_water.PlanarWater):
     unnamed = "vertical, roll or fins"
 
     def __init__(
-        self,
-        robot: Robot,
-        swimmer: planar_chain.Swimmer | None = None,
-        learnt: "residual_hooks.Residual | None" = None,
+        self, robot: Robot, swimmer: planar_chain.Swimmer | None = None, learnt: "residual_hooks.Residual | None" = None
     ):
         super().__init__(robot, swimmer, learnt)
         self.geometry = g = geometry_of(robot)

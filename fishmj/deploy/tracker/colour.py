@@ -52,8 +52,7 @@ class Paint(NamedTuple):
 
 
 PAPER_FISH = Paint(  # as a ruler finds it on the shipped fish, to the millimetre; its sides are straight between the stations
-    head=((0.050, 0.062), (0.100, 0.060), (0.135, 0.052), (0.160, 0.034), (0.175, 0.014)),
-    neck=((-0.030, 0.048), (0.012, 0.058)),
+    head=((0.050, 0.062), (0.100, 0.060), (0.135, 0.052), (0.160, 0.034), (0.175, 0.014)), neck=((-0.030, 0.048), (0.012, 0.058))
 )
 
 

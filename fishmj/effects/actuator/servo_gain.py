@@ -30,8 +30,6 @@ EFFECT = Effect(
     ),
     servo=servo,
     robot=RobotForm(
-        site="actuator",
-        parameters=(Parameter(name="gain", unit="1", low=-0.9, high=2.0, typical=(0.08, 0.3)),),
-        fields=fields,
+        site="actuator", parameters=(Parameter(name="gain", unit="1", low=-0.9, high=2.0, typical=(0.08, 0.3)),), fields=fields
     ),
 )

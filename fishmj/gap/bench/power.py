@@ -129,10 +129,7 @@ def score(rows: list[dict]) -> dict:
     missed = share(sum(found(r) == "agrees" for r in large), len(large))
     healthy = share(sum(r["answer"] == "AGREES" for r in none), len(none))
     false = share(sum(r["answer"] in ("NAMED", "CLASS") for r in none), len(none))
-    met = {
-        "missed": missed["value"] <= MISSED if large else None,
-        "healthy": healthy["value"] >= HEALTHY if none else None,
-    }
+    met = {"missed": missed["value"] <= MISSED if large else None, "healthy": healthy["value"] >= HEALTHY if none else None}
     lost = {
         "not_reached": sum(r["answer"] == NOT_REACHED for r in rows),
         "diverged": sum(r["answer"] == "DIVERGED" for r in rows),

@@ -185,12 +185,7 @@ def scored(search: EffectFitter, c: Candidate) -> Candidate:
 
 
 def investigate(
-    study: Study,
-    *,
-    most: int = 2,
-    has=(),
-    say=lambda text: None,
-    bars: progress.Bars = progress.silent_bar,
+    study: Study, *, most: int = 2, has=(), say=lambda text: None, bars: progress.Bars = progress.silent_bar
 ) -> StudyOutcome:
     """Adds effects while groups outside the fit get better. has: names of effects that the model already holds."""
     steps = 2 + len(set(study.fold))  # of a round; the baseline counts as one

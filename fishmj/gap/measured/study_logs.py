@@ -31,10 +31,7 @@ LIMITS = {"length": 1e5, "angle": 1e4, "rate": 1e3, "speed": 100.0, "voltage": 1
 LEAST_ROWS = 8
 BLANK = 0.2  # share of rows without a number, beyond which a column is not taken
 TABLES = {  # ours -> table and column of a trial folder
-    "body": {
-        **{k: ("pose", k) for k in ("x", "y", "yaw")},
-        **{k: ("gait", k) for k in ("amplitude", "bias")},
-    },
+    "body": {**{k: ("pose", k) for k in ("x", "y", "yaw")}, **{k: ("gait", k) for k in ("amplitude", "bias")}},
     "servo": {
         **{"goal": ("cmd", "c1"), "on": ("cmd", "on1"), "angle": ("joint", "j1"), "rate": ("joint", "w1")},
         **{"duty": ("joint", "load1"), "volts": ("power", "V")},

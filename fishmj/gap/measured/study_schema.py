@@ -7,6 +7,7 @@ Nothing of a study is ever run: names of files are matched letter by letter, col
 """
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
@@ -18,6 +19,7 @@ from fishmj import effects
 from fishmj.base.calib import read_toml, shown_path
 from fishmj.base.errors import ConfigError, DescriptionError, LogError
 from fishmj.base.names import nearest
+from fishmj.gap.measured import planar_body, servo_model
 from fishmj.gap.measured.decoy_terms import COAST_RIVALS, RIVALS
 from fishmj.gap.measured.planar_body import DRIVES, Hull
 from fishmj.gap.measured.servo_model import ServoMotor
@@ -67,11 +69,7 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "servo": (*ServoMotor._fields, "mass", "length", "voltage"),
     "coast": ("mass", "drag"),
 }
-FITTED: dict[str, tuple[str, ...]] = {
-    "body": Hull._fields[2:],
-    "servo": ServoMotor._fields,
-    "coast": ("drag",),
-}
+FITTED: dict[str, tuple[str, ...]] = {"body": Hull._fields[2:], "servo": ServoMotor._fields, "coast": ("drag",)}
 
 
 def flag(what: str, default: bool = False) -> Any:
@@ -276,8 +274,6 @@ def _lines(error: ValidationError, where: str) -> list[str]:
 
 
 def _near(key: str, known: list[str]) -> str:
-    from difflib import get_close_matches
-
     found = get_close_matches(key, known, 1, 0.6)
     return f" (did you mean {found[0]!r}?)" if found else ""
 
@@ -354,8 +350,6 @@ def _relations(s: StudyFile) -> list[str]:
 
 def offered(plant: str) -> list[effects.Effect]:
     """Every term that applies to a plant, rivals too."""
-    from fishmj.gap.measured import planar_body, servo_model
-
     if plant == "coast":
         return [*map(effects.get, COASTING), *COAST_RIVALS]
     return [*planar_body.acting(), *RIVALS] if plant == "body" else servo_model.acting()

@@ -160,11 +160,7 @@ def drag(w, i, parent, slide, boxes, owner, density, viscosity, slopes, v):
     boxes (B, 15): sides, centre and axes in the link's frame. v (n + 3, 9) is scratch.
     """
     n = len(parent)
-    r, t, f = (
-        v[n],
-        v[n + 1],
-        v[n + 2],
-    )  # its axes, the same in the frame before, slopes and place
+    r, t, f = (v[n], v[n + 1], v[n + 2])  # its axes, the same in the frame before, slopes and place
     for k in range(len(owner)):
         b = (1 + owner[k]) * BLOCK
         wide = (boxes[k, 0] + boxes[k, 1] + boxes[k, 2]) / 3.0

@@ -322,10 +322,7 @@ class ServoStand(SwimmingFish):
         water = water._replace(ca_forward=wet * w.ca_forward, ca_backward=wet * w.ca_backward)
         joints, kv = range(self.joints), self.robot.servo.kv
         return s._replace(
-            mass=[m * c["mass"] for m in s.mass],
-            kp=[c["kp"] for _ in joints],
-            kb=[c["kd"] - kv for _ in joints],
-            water=water,
+            mass=[m * c["mass"] for m in s.mass], kp=[c["kp"] for _ in joints], kb=[c["kd"] - kv for _ in joints], water=water
         )
 
     def _hooks(self, xp, row, memory) -> HangingInAir:

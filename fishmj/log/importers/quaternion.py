@@ -57,10 +57,7 @@ def heading(q: np.ndarray, where: str) -> tuple[np.ndarray, str]:
     upright = np.abs(1 - 2 * (x * x + y * y))[np.isfinite(yaw)]
     if len(upright) and float(np.median(upright)) < UPRIGHT:
         tilt = np.degrees(np.arccos(float(np.median(upright))))
-        return (
-            yaw,
-            f"its quaternion tilts the body by {tilt:.0f} deg from the z axis: is another axis up, or is w first?",
-        )
+        return (yaw, f"its quaternion tilts the body by {tilt:.0f} deg from the z axis: is another axis up, or is w first?")
     return yaw, ""
 
 

@@ -4,14 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.gap.laboratory.articulated.hidden_faults import (
-    FAULTS,
-    Fault,
-    UsualMotion,
-    log_uniform,
-    one_parameter,
-    stronger,
-)
+from fishmj.gap.laboratory.articulated.hidden_faults import FAULTS, Fault, UsualMotion, log_uniform, one_parameter, stronger
 from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, body, rotor
 
 SHARED = (
@@ -58,9 +51,7 @@ FLOWN: dict[str, Fault] = {name: FAULTS[name] for name in SHARED} | {
         "actuator", one_parameter("limit", 0.95, 1.15, _hover), lambda plan, k, v: plan.with_rotor(k, limit=v["limit"])
     ),
     "thrust_loss": Fault(
-        "robot",
-        one_parameter("share", 0.08, 0.3),
-        lambda plan, k, v: _all(plan, "gain", lambda r: r.gain * (1.0 - v["share"])),
+        "robot", one_parameter("share", 0.08, 0.3), lambda plan, k, v: _all(plan, "gain", lambda r: r.gain * (1.0 - v["share"]))
     ),
     "thruster_lag": Fault(
         "robot", one_parameter("time", 0.02, 0.08), lambda plan, k, v: _all(plan, "lag", lambda r: float(v["time"]))

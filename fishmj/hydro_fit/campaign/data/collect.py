@@ -247,12 +247,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     slip = "only segments of this slip ratio; may be repeated; by default all"
     add("--slip", type=console.number(0, 1), action="append", default=[], metavar="S", help=slip)
     fixed = "all segments at this slip ratio, for a water of its own; default: those of the plan"
-    add(
-        "--all-at-slip",
-        type=console.number(0, 1),
-        metavar="S",
-        help=fixed,
-    )
+    add("--all-at-slip", type=console.number(0, 1), metavar="S", help=fixed)
     add("--seed", type=console.SEED, default=0, help="of the draws")
     steers = "what steers on-policy episodes; may be repeated; by default the shipped policies that are made for the fish"
     add("--policy", type=console.text, action="append", default=[], metavar="NAME|FILE", help=steers)
