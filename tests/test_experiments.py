@@ -365,8 +365,9 @@ def test_gap_to_a_bound_is_closed_by_the_share_between():
 
 
 def test_findings_have_value_interval_and_number_of_trials():
-    assert compared("x", "1 m", [1.0, 1.0, 1.0, 1.0, 1.0, None], "m") == ("x", "1 m", "1.000 (1.000 1.000) m", 1.0, 1.0, 1.0, 5)
-    assert compared("x", "", [None]).measured == "none"
+    assert compared("x", "1 m", [1.0, 1.0, 1.0, 1.0, 1.0], "m") == ("x", "1 m", "1.000 (1.000 1.000) m", 1.0, 1.0, 1.0, 5)
+    assert compared("x", "", [1.0, 1.0, 1.0, 1.0, 1.0, None], "m").measured == "1.000 (1.000 1.000) m, 5 of 6 trials"
+    assert compared("x", "", [None]).measured == "none of 1 trials"
     all_of_them = counted("x", "all", [1, 1, 1, 1])
     assert all_of_them.measured == "4 of 4" and all_of_them.low == pytest.approx(0.510, abs=1e-3), "Wilson's interval"
     assert read(rounded([[1.23456, np.nan]], 2)) == pytest.approx(np.array([[1.23, np.nan]]), nan_ok=True)

@@ -55,12 +55,14 @@ def read(values: Any) -> np.ndarray:
 
 
 def compared(what: str, paper: str, values: Any, unit: str = "", *, digits: int = 3, median: bool = False) -> PaperFinding:
-    """Finding from the figures of single trials: mean, or median, with its interval."""
-    found = metrics.estimate("approach_time" if median else "", read(values).ravel())
-    text = f"{found.value:.{digits}f}" if found.n else "none"
-    if not found.why:
-        text += f" ({found.low:.{digits}f} {found.high:.{digits}f})"
-    return PaperFinding(what, paper, f"{text} {unit}".strip(), *found[:4])
+    """Finding from the figures of single trials: mean, or median, with its interval. Tells how many have a figure, if not all."""
+    given = read(values).ravel()
+    found = metrics.estimate("approach_time" if median else "", given)
+    if not found.n:
+        return PaperFinding(what, paper, f"none of {len(given)} trials" if len(given) else "none", *found[:4])
+    text = f"{found.value:.{digits}f}" + ("" if found.why else f" ({found.low:.{digits}f} {found.high:.{digits}f})")
+    some = f", {found.n} of {len(given)} trials" if found.n < len(given) else ""
+    return PaperFinding(what, paper, f"{text} {unit}".strip() + some, *found[:4])
 
 
 def error_bars(samples: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
