@@ -20,6 +20,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,8 @@ def admitted(
     if breaches and not anyway:
         message = f"{data}: {'; '.join(breaches)}"
         if not console.confirmed(f"{message}. Search all the same?"):
-            raise LogError(f"{message}. Search all the same with --anyway")
+            out = f"take such a trial's folder out, then `fishmj log manifest {quote(str(data))}`"
+            raise LogError(f"{message}. To search without it, {out}; to search all the same, --anyway")
     return given, notes
 
 
