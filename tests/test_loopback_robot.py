@@ -1,5 +1,7 @@
 """The loopback robot from the host's side: what comes back for the datagrams that are sent, healthy and failing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -242,6 +244,20 @@ def test_a_low_battery_is_read():
     volts = {t: packet.voltage for t, packet in host.telemetry}
     assert all(value < 6.2 for t, value in volts.items() if 1.1 < t < 2.0)
     assert all(value > 7.0 for t, value in volts.items() if t < 1.0 or t > 2.1)
+
+
+@pytest.mark.parametrize("volts", [5.0, 7.4, 24.0])
+def test_a_low_battery_is_that_of_the_robot(volts):
+    shipped = load_robot("fish")
+    robot = load_robot(replace(shipped, servo=replace(shipped.servo, voltage=volts)))
+    body = bodies.make("structured", robot=robot)
+    made = LoopbackRobot(body, faults=parse(["low_battery@0.5"]))
+    made.advance_to(0.4)
+    assert body.sensors().voltage > robot.low_voltage
+    made.advance_to(1.0)
+    assert 0.9 * robot.low_voltage < body.sensors().voltage < robot.low_voltage
+    with pytest.raises(ConfigError, match=rf"{robot.low_voltage:g} V is no low battery of {robot.name}; expected less"):
+        LoopbackRobot(body, faults=parse([f"low_battery={robot.low_voltage:g}"]))
 
 
 def test_a_battery_that_is_low_for_a_second_is_told_and_the_host_decides():

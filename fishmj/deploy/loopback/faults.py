@@ -8,7 +8,7 @@ without them a fault lasts from the beginning to the end.
 
 import re
 from collections.abc import Iterable, Mapping
-from math import inf
+from math import inf, isnan, nan
 from typing import NamedTuple
 
 from fishmj.base.errors import ConfigError, UnknownName
@@ -22,7 +22,7 @@ class FaultKind(NamedTuple):
 
     where: str  # radio, robot or camera
     unit: str  # of the value; "" for one without
-    value: float  # where none is said
+    value: float  # where none is said; nan: of the robot, as `about` says
     low: float
     high: float
     about: str
@@ -43,7 +43,9 @@ FAULTS: Mapping[str, FaultKind] = {
     "stuck_servo": FaultKind(ROBOT, "joint", 2, 1, 7, "the gears of this joint (1 at the head) bind where they are"),
     "hot_servo": FaultKind(ROBOT, "joint", 2, 1, 7, "this joint's servo heats up to 80 deg C, 10 K a second"),
     "silent_servo": FaultKind(ROBOT, "joint", 2, 1, 7, "this joint's servo does not answer; it still goes where it is told"),
-    "low_battery": FaultKind(ROBOT, "V", 6.2, 3.0, 12.0, "the battery has only this open-circuit voltage"),
+    "low_battery": FaultKind(
+        ROBOT, "V", nan, 0.1, 1000.0, "the battery has only this open-circuit voltage; default 97 % of the robot's low_voltage"
+    ),
     "camera_loss": FaultKind(CAMERA, "", 0.0, 0.0, 0.0, "no frames"),
     "camera_freeze": FaultKind(CAMERA, "", 0.0, 0.0, 0.0, "the same picture again and again, with new stamps"),
     "camera_jump": FaultKind(CAMERA, "m", 0.4, -10.0, 10.0, "the picture is shifted so far along the tank's x, as after a knock"),
@@ -55,7 +57,7 @@ class LoopbackFault(NamedTuple):
     """One switch that is set."""
 
     name: str
-    value: float
+    value: float  # nan: of the robot
     begin: float = 0.0  # s
     end: float = inf
     direction: str = ""  # of the radio's; "" both
@@ -86,7 +88,7 @@ def _fault(text: str) -> LoopbackFault:
     if found["value"] is not None and not kind.unit:
         raise ConfigError(f"fault {text[:60]!r}: {name} has no value; write {name} or {name}@T0-T1")
     value = kind.value if found["value"] is None else _number(text, found["value"])
-    if not kind.low <= value <= kind.high or (kind.unit == "joint" and value != int(value)):
+    if not (isnan(value) or kind.low <= value <= kind.high) or (kind.unit == "joint" and value != int(value)):
         raise ConfigError(f"fault {text[:60]!r}: value {value:g}; expected {kind.low:g} to {kind.high:g} {kind.unit}")
     begin = 0.0 if found["begin"] is None else _number(text, found["begin"])
     end = begin + kind.lasts if found["end"] is None else _number(text, found["end"])
@@ -107,7 +109,7 @@ def _number(text: str, part: str) -> float:
 
 def described() -> list[str]:
     """One line a fault, for the help."""
-    told = lambda kind: f" [{kind.unit}, {kind.value:g}]" if kind.unit else ""
+    told = lambda kind: f" [{kind.unit}{'' if isnan(kind.value) else f', {kind.value:g}'}]" if kind.unit else ""
     wide = max(map(len, FAULTS))
     return [f"{name:<{wide}}  {kind.about}{told(kind)}" for name, kind in FAULTS.items()]
 

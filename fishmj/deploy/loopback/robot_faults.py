@@ -5,6 +5,7 @@ measured: a servo that is stalled at 1.2 A heads for 50 deg C in water of 20 deg
 """
 
 from collections.abc import Iterable
+from math import isnan
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.loopback.faults import FAULTS, LoopbackFault, active
@@ -18,20 +19,38 @@ WATER, RISE, TAU = 20.0, 25.0, 300.0  # deg C, K/A, s
 HOTTER, HEATING = 80.0, 10.0  # deg C and K/s of a hot servo; servos let go at 85
 SAGGED, COLLAPSE = 5.2, 0.05  # V at the lead, and s that the microcontroller lives on, when the supply breaks down
 SAG = 0.75  # of the servos' voltage, at most
+LOW = 0.97  # of the robot's low_voltage: a low battery, where no voltage is said
 VOLT_STEP, AMPERE_STEP = 0.00125, 0.00025  # V and A, INA226 with a shunt of 10 milliohm
 
 
 class RobotFaults:
-    """Applies the faults of the robot itself. Raises ConfigError: a joint that the robot does not have."""
+    """Applies the faults of the robot itself.
+
+    Raises ConfigError: a joint that the robot does not have, or a low battery that is not low for it.
+    """
 
     def __init__(self, body: Body, faults: Iterable[LoopbackFault]):
-        self.body, self._faults, self._bus = body, tuple(faults), BUSES[body.robot.rig.bus]
+        self.body, self._bus = body, BUSES[body.robot.rig.bus]
+        self._faults = tuple(self._sized(fault) for fault in faults)
         self._heat = [WATER] * body.robot.n_joints
         self._read = [0.0] * body.robot.n_joints  # rad
         self._warmed = 0.0
-        for fault in self._faults:
-            if FAULTS[fault.name].unit == "joint" and fault.value > body.robot.n_joints:
-                raise ConfigError(f"fault {fault.name}={fault.value:g}: {body.robot.name} has {body.robot.n_joints} joints")
+
+    def _sized(self, fault: LoopbackFault) -> LoopbackFault:
+        """The fault with a value of this robot. Raises ConfigError: the robot cannot have it."""
+        robot = self.body.robot
+        if FAULTS[fault.name].unit == "joint" and fault.value > robot.n_joints:
+            raise ConfigError(f"fault {fault.name}={fault.value:g}: {robot.name} has {robot.n_joints} joints")
+        if fault.name != "low_battery":
+            return fault
+        if isnan(fault.value):
+            return fault._replace(value=LOW * robot.low_voltage)
+        if fault.value >= robot.low_voltage:
+            raise ConfigError(
+                f"fault low_battery={fault.value:g}: {fault.value:g} V is no low battery of {robot.name}; expected less than its "
+                f"low_voltage, {robot.low_voltage:g} V; low_battery without a voltage has {LOW * robot.low_voltage:.3g} V"
+            )
+        return fault
 
     def edges(self) -> list[float]:
         """Times [s] at which a fault of the body begins or ends."""
