@@ -377,3 +377,48 @@ def test_a_table_that_lies_in_two_files_is_not_pieced_together(tmp_path, bring):
     assert code == 2 and "b.csv: goal3_deg: table cmd lies in another file already" in err
     assert bring(tmp_path / "lab", "--yes", "--set", "goal3_deg=skip")[0] == 0
     assert "c3" not in only(tmp_path / "set").tables["cmd"]
+
+
+PROSE = {
+    "scale.txt": "image 2560 x 1440, origin upper left\n",
+    "notes.txt": "Tail servo replaced on Monday.\n",
+    "water.log": "depth 0.6\nlength 3.0\ntemperature 20.5\n",
+    "day.txt": "# of the lab\n2026-03-02 12:30 battery charged\n2026-03-02 12:50 tail replaced\n",
+    "README": "Swims of Monday, by hand.\n\n1. still water\n2. flow\n",
+    "laptop.txt": "Größe 1,2 m\n",
+}
+
+
+@pytest.mark.parametrize("name", PROSE)
+def test_prose_beside_recordings_is_left_out_and_named(tmp_path, bring, name):
+    log_file = lab_files.one(tmp_path / "lab" / "log.csv")
+    (tmp_path / "lab" / name).write_text(PROSE[name], "latin-1" if name == "laptop.txt" else "utf-8")
+    code, out, err = bring(log_file, tmp_path / "lab" / name, "--yes", out=tmp_path / "files")
+    assert code == 0 and f"{name}: left out, text without a table of numbers" in out, err
+    code, out, err = bring(tmp_path / "lab", "--yes")
+    assert code == 0 and name in out and only(tmp_path / "set").tables.keys() == only(tmp_path / "files").tables.keys(), err
+
+
+def test_a_table_with_a_cut_row_in_a_text_file_is_no_prose(tmp_path, bring):
+    lab_files.one(tmp_path / "lab" / "log.csv")
+    (tmp_path / "lab" / "camera.txt").write_text("t;x;y\n0;1;2\n1;2\n2;3\n3;1;2\n")
+    code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "camera.txt:3:1: 2 values in a row of 3 columns" in err
+
+
+@pytest.mark.parametrize("name", ["scale.txt", "camera.csv", "camera.mat"])
+def test_a_file_that_is_skipped_is_not_read(tmp_path, bring, name):
+    lab_files.one(tmp_path / "lab" / "log.csv")
+    (tmp_path / "lab" / name).write_text("0.0012 3 7\n0.0011 3 7\n")
+    assert bring(tmp_path / "lab", "--yes")[0] == 2
+    code, out, err = bring(tmp_path / "lab", "--yes", "--set", f"{name}=skip")
+    assert code == 0 and f"{name}: left out, as --set says" in out, err
+    code, _, err = bring(tmp_path / "lab", "--yes", "--set", f"{name}x=skip", "--skip-bad", out=tmp_path / "two")
+    assert code == 2 and f"unknown column in --set '{name}x'" in err
+
+
+def test_a_folder_of_prose_says_why_nothing_is_imported(tmp_path, bring):
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "notes.txt").write_text(PROSE["notes.txt"])
+    code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "nothing to import" in err and "notes.txt: left out, text without" in err

@@ -208,7 +208,8 @@ def _found(args: Namespace) -> ImportResult:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE:
         return _in_format(args.source, known, args)
-    cache = gather.FileCache(topics=args.topics is not None)
+    skip = frozenset(name for name, (place, _, _) in overrides(args.set).items() if place == "skip")
+    cache = gather.FileCache(args.topics is not None, skip)
     together = True if args.one_trial else False if args.trial_each else None
     found = ImportResult(TABLE)
     items, passed = gather.plan(args.source, cache, together=together)
@@ -246,7 +247,7 @@ def _found(args: Namespace) -> ImportResult:
 
 def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace, found: ImportResult) -> None:
     """Guesses a column map for every layout of files."""
-    said = overrides(args.set)
+    said = {name: value for name, value in overrides(args.set).items() if name not in cache.left}
     for group in gather.layouts(items, cache).values():
         kinds = guess.kinds(sheet for item in group for sheet in cache.sheets_of(item))
         here = {name: value for name, value in said.items() if any(kind.called(name) for kind in kinds)}
@@ -377,7 +378,7 @@ def _nothing(args: Namespace, found: ImportResult) -> NoReturn:
     formats = "; ".join(f"{name}: {importer.about}" for name, importer in importers.FORMATS.items())
     raise LogError(
         f"{args.source[0]}: nothing to import; expected {', '.join(gather.TABLE_FILES)}, .mcap, .db3, trial "
-        f"folders, or one of {formats}"
+        f"folders, or one of {formats}{''.join(f'. {note}' for note in found.notes[:3])}"
     )
 
 

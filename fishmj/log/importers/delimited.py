@@ -26,6 +26,7 @@ from fishmj.log.limits import LINE, bare, check_size, quoted, regular
 from fishmj.log.trial import Table
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".lvm", ".log")
+PROSE, LETTER = ("", ".txt", ".log"), 1 << 16  # ends of names of what may be prose, and bytes of it at most
 BAD_ROWS = 0.01  # share of rows of another length that are left out with a note; more is another format
 SOON = 5.0  # s before progress shows
 _MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -55,6 +56,17 @@ def read(path: Path) -> Sheet:
         ) from error
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def is_prose(path: Path) -> bool:
+    """Returns True for a short text without a table of numbers, such as notes beside the recordings."""
+    if path.suffix.lower() not in PROSE or not path.is_file() or not 0 < path.stat().st_size <= LETTER:
+        return False
+    try:
+        lines = path.read_text(_encoding(path)[0]).splitlines()
+    except (LogError, OSError, UnicodeError):  # the reader says why
+        return False
+    return any(map(str.strip, lines)) and not layout.holds_values([line for line in lines if not line.startswith(_COMMENTS)])
 
 
 def _encoding(path: Path) -> tuple[str, list[str]]:

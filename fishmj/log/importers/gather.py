@@ -6,7 +6,7 @@
 - A message recording (MCAP, rosbag2) is a trial.
 - With several folders, each trial has its folder's name in front, with as many parents as tell the folders apart.
 - A folder in a folder is treated separately; hidden files and links that lead outside are ignored. So are pictures, films,
-  documents and programs, by name; data of other programs are refused.
+  documents and programs, by name, and text without a table of numbers; data of other programs are refused.
 """
 
 from collections import Counter
@@ -44,6 +44,8 @@ class FileCache:
     """Reads every file once, and caches the result as far as memory allows."""
 
     topics: bool = False  # a mapping of topics was given: recordings need no sheets
+    skip: frozenset[str] = frozenset()  # names of files that the user leaves out
+    left: set[str] = field(default_factory=set)  # those of them that were found
     skipped: dict[str, str] = field(default_factory=dict)  # file -> why it was not read
     _kept: dict[Path, list[Sheet]] = field(default_factory=dict)
     _mapped: dict[Path, bool] = field(default_factory=dict)
@@ -73,6 +75,16 @@ class FileCache:
             found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
             self._mapped[path] = bool(message_recordings.named_like_tables(found).tables)
         return self._mapped[path]
+
+    def leaves(self, path: Path, notes: list[str]) -> bool:
+        """Returns True for a file that is left out, with a note: the user says so, or it is text without a table."""
+        said = path.name in self.skip and bool(path.suffix) and path.is_file()
+        if said:
+            self.left.add(path.name)
+        elif not delimited.is_prose(path):
+            return False
+        notes.append(f"{path}: left out, {'as --set says' if said else 'text without a table of numbers'}")
+        return True
 
     def readable(self, files: Sequence[Path]) -> list[Path]:
         """Files that can be read; the reasons for the others are kept."""
@@ -141,7 +153,7 @@ def plan(sources: Sequence[Path], cache: FileCache, *, together: bool | None = N
         if not source.exists():
             raise LogError(f"{source}: no such file or folder")
     tags = tags_of(sources)
-    loose = [source for source in sources if not source.is_dir()]
+    loose = [s for s in sources if not s.is_dir() and (len(sources) == 1 or not cache.leaves(s, notes))]
     if loose:
         items += _told_apart(_heap(loose, cache, together, name="" if len(loose) > 1 else loose[0].stem, top=True))
     folders = [source for source in sources if source.is_dir()]
@@ -202,6 +214,8 @@ def _walk(
             folders.append(entry)
         elif entry.is_dir():
             other.append(entry.name)
+        elif cache.leaves(entry, notes):
+            continue
         elif entry.suffix.lower() in TABLE_FILES or is_recording(entry):
             files.append(entry)
         elif (kind := other_files.kind_of(entry)) in other_files.RECORDINGS or (

@@ -117,6 +117,20 @@ def _is_row(cells: Sequence[str]) -> bool:
     return len(cells) > 1 and bool(filled) and 2 * sum(map(is_value, filled)) >= len(filled)
 
 
+def holds_values(lines: Sequence[str]) -> bool:
+    """Returns True for lines with a table: two rows of one width, most of their cells values and one a number at least."""
+    for mark in SEPARATORS:
+        widths = [len(row) for row in (split(line, mark) for line in lines) if _is_row(row) and _values(row) > 1]
+        if len(set(widths)) < len(widths):
+            return True
+    return False
+
+
+def _values(cells: Sequence[str]) -> int:
+    """Number of values among cells; 0 if all are dates."""
+    return sum(map(is_value, cells)) if any(map(is_number, cells)) else 0
+
+
 def _rows(head: Lines, marks: Sequence[str]) -> tuple[str, int]:
     """(separator, index of the first row of values); ("", 0) if there are no such rows."""
     best: tuple[int, bool, str, int] = (0, False, "", 0)
