@@ -55,3 +55,14 @@ def test_a_restart_from_the_models_own_motion_finds_no_error(plant):
     _, error, _ = error_growth.errors(plant, [own], plant.null)
     rms = np.sqrt(np.nanmean(error**2, 0))  # (H, J + 3)
     assert len(error) > 15 and np.all(rms[:, :3] < 0.004) and np.all(rms[2, 3:5] < 0.008) and rms[2, 5] < 0.02
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_horizon_that_no_restart_reaches_is_missing(plant):
+    """Angles with a pause: no restart meets them again after three seconds."""
+    record = record_of(generate({}, ["gait"], SEED)[0], plant.dt)
+    t = record.joint.t
+    some = (t < 2.5) | (t > t[-1] - 0.9)
+    paused = record._replace(joint=Sensor(t[some], record.joint.values[some], record.joint.sigma))
+    joint, position, _ = error_growth.curves(plant, [paused], plant.null, plant.null)
+    assert np.isnan(joint.before).tolist() == [False, False, False, True] and np.isfinite(position.before).all()

@@ -2,17 +2,20 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("numba")
 
 from fishmj.gap.localise.narrative import paragraph
-from fishmj.gap.report import sections
+from fishmj.gap.localise.residual_patterns import BINS, by_rate
+from fishmj.gap.report import pictures, sections
 from fishmj.gap.report.sections import gates
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
 
 HELD = {"adequacy": 3.0, "closure": 0.9, "rest": 1.0, "form": 0.05, "size": 0.1, "transfer": 1.0, "gain": 5000.0, "strain": 0.0}
+STEP = 1 / 64  # s
 CURRENT = NamedEffect("steady_current", {"x": Value(0.03, "m/s", 0.02, 0.04)}, 1.0, 0.9)
 
 
@@ -59,3 +62,26 @@ def test_small_residual_beside_a_name_is_not_said_to_hold_nothing():
     page.place = place
     (told,) = sections.where(page).parts
     assert "nothing" not in told and "no larger than healthy robots leave (gap 3.61)" in told and "by the form" in told
+
+
+def joint_of(t: np.ndarray, commands: np.ndarray) -> SimpleNamespace:
+    """Comparison of one joint at times t, whose difference is largest at 2 s and at 70 s."""
+    block = SimpleNamespace(channel="joint", column=0, record=0, t=t, where=slice(0, len(t)))
+    ratio = np.where((t > 1) & (t < 4), 3.0, np.where(t > 70, 9.0, 1.0))[None]
+    records = [SimpleNamespace(commands=commands, dt=STEP)]
+    return SimpleNamespace(layout=SimpleNamespace(blocks=[block]), ratio=ratio, over_floor=ratio, records=records)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_the_traces_show_no_pause_of_the_log():
+    t = np.concatenate([np.arange(0, 5, 0.1), np.arange(65, 74, 0.1)])
+    c = joint_of(t, np.zeros((5000, 1)))
+    assert pictures.stretch(c, c.layout.blocks[0]) == (69.5, 73.5)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("speeds", [(1.0,), (0.25, 1.0), np.linspace(0.1, 1, 500)])
+def test_fifths_of_the_speed_without_a_command_are_left_out(speeds):
+    rates = np.repeat(speeds, 4000 // len(speeds))
+    found = by_rate(joint_of(np.arange(0, 62, 0.1), np.cumsum(rates)[:, None] * STEP))
+    assert found is None if len(speeds) == 1 else np.isfinite(found.level).all() and len(found.level) >= min(len(speeds), BINS)

@@ -216,7 +216,7 @@ def curves(model: SwimmingFish, records: list[Record], before: np.ndarray, after
         columns = {"joint": slice(0, model.joints), "position": slice(model.joints, -1), "heading": slice(-1, None)}[channel]
         one, two = (_squares(e[..., columns], channel) for e in (first, second))
         made = _squares(start[..., columns], channel)
-        rms = [np.sqrt(np.nanmean(sq, 0)) for sq in (one, two, made)]
+        rms = [np.sqrt(_mean(sq, np.ones(len(sq)))) for sq in (one, two, made)]
         slope, low, high = _slope(owner, one, other, two, made, changed)
         out.append(GrowthCurve(channel, unit, HORIZONS, rms[0], rms[1], rms[2], len(owner), slope, low, high))
     return tuple(out)
@@ -227,6 +227,12 @@ def _squares(error: np.ndarray, channel: str) -> np.ndarray:
     return np.sum(error**2, -1) if channel == "position" else np.mean(error**2, -1)
 
 
+def _mean(squares: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(H,) weighted mean of the restarts (S, H) that reach a horizon; NaN where none does."""
+    count = np.sum(np.isfinite(squares) * weights[:, None], 0)
+    return np.divide(np.nansum(squares * weights[:, None], 0), count, out=np.full(count.shape, np.nan), where=count > 0)
+
+
 def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, float]:
     """Slope of log error over log H with its 90 % interval, resampling records."""
     records = np.unique(owner)
@@ -234,7 +240,7 @@ def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, f
 
     def of(weights: np.ndarray) -> float:
         # Records are drawn, not restarts: those of one record share its constants and its commands.
-        mean = lambda sq, who: np.nansum(sq * weights[who][:, None], 0) / np.sum(np.isfinite(sq) * weights[who][:, None], 0)
+        mean = lambda sq, who: _mean(sq, weights[who])
         # Squares are subtracted, not errors: the error from the uncertain start, or the rest with the found effects, is
         # independent of the effects' contribution. Below a fifth of the whole the difference is mostly noise.
         square = mean(one, owner) - (mean(two, other) if changed else mean(made, owner))

@@ -125,7 +125,7 @@ class BeatLock(NamedTuple):
 
 
 class BeatRates(NamedTuple):
-    """Mean square of the joint residual, × floor, by speed of the command: middle (BINS,) rad/s, level (BINS,)."""
+    """Mean square of the joint residual, × floor, by speed of the command: middle (B,) rad/s, level (B,), B up to BINS."""
 
     middle: np.ndarray
     level: np.ndarray
@@ -181,7 +181,7 @@ def analytic(values: np.ndarray) -> np.ndarray:
 
 
 def by_rate(c: Comparison) -> BeatRates | None:
-    """Joint residual by the fastest command of the last RECENT seconds; None without joints or moving commands."""
+    """Joint residual by the fastest command of the last RECENT seconds; None without joints or commands of several speeds."""
     speed, level = [], []
     for b in c.layout.blocks:
         if b.channel != "joint":
@@ -200,7 +200,9 @@ def by_rate(c: Comparison) -> BeatRates | None:
         return None
     edges = np.quantile(rate[moving], np.linspace(0, 1, BINS + 1))
     place = np.clip(np.searchsorted(edges, rate[moving], side="right") - 1, 0, BINS - 1)
-    bins = [place == k for k in range(BINS)]
+    bins = [place == k for k in np.unique(place)]
+    if len(bins) < 2:
+        return None
     middle = np.array([np.median(rate[moving][b]) for b in bins])
     return BeatRates(middle, np.array([np.mean(ratio[moving][b]) for b in bins]))
 

@@ -285,8 +285,9 @@ def stretch(c: Comparison, b: ChannelBlock) -> tuple[float, float]:
         return 0.0, end
     starts = np.arange(0.0, end - length + 1e-9, 0.5)
     ratio = c.ratio[0][b.where]
-    level = [float(np.mean(ratio[(b.t >= s) & (b.t < s + length)])) for s in starts]
-    return float(starts[int(np.argmax(level))]), float(starts[int(np.argmax(level))] + length)
+    level = [float(np.sum(ratio[(b.t >= s) & (b.t < s + length)])) for s in starts]  # of a pause: 0
+    worst = starts[int(np.argmax(level))]
+    return float(worst), float(worst + length)
 
 
 def traces(c: Comparison, use: list[str]) -> str:
