@@ -187,6 +187,22 @@ def test_an_import_shows_twenty_notes_and_counts_the_rest(tmp_path, monkeypatch,
     assert said.count("nothing moves") == 20 and "and 5 more notes" in said
 
 
+def test_many_remarks_of_one_kind_hide_no_other(tmp_path, monkeypatch, capsys):
+    for k in range(25):
+        lines(tmp_path / "lab" / f"swim{k}.csv", "t,c1,c2,c3", [T[k:], *[np.full(len(T) - k, 0.1)] * 3])
+    lines(tmp_path / "lab" / "tuesday.csv", "t,c1,c2,c3,mood", [T, *np.radians(ANGLES).T, T])
+    monkeypatch.chdir(tmp_path)
+    assert console.run(cli.dispatch, [*LAB, "--trial-each"]) == 0
+    said = capsys.readouterr().out
+    assert "not read: mood" in said and "nothing moves" in said
+    for k in range(5):
+        (tmp_path / "lab" / f"swim{k}.csv").write_text("t,c1,c2,c3\n0,1,2,3\n1,2\n1,2\n")
+    (tmp_path / "lab" / "tuesday.csv").write_text("")
+    assert console.run(cli.dispatch, ["two" if word == "data" else word for word in LAB] + ["--trial-each"]) == console.BAD_INPUT
+    said = capsys.readouterr().err
+    assert "tuesday.csv: the file is empty" in said and said.count("2 values in a row") == 2 and "; and 3 more" in said
+
+
 def test_a_fish_that_is_refused_leaves_the_file_as_it_was(tmp_path):
     """The model is read back before it takes the place of the old one, with the effects in it."""
     out = tmp_path / "fish.toml"

@@ -20,7 +20,7 @@ from fishmj.log.importers import gather, guess, guessed, other_files, registry
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
 from fishmj.log.importers.set_option import overrides
-from fishmj.log.limits import bare
+from fishmj.log.limits import bare, kinds_first
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import SCHEMA, Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
@@ -354,14 +354,14 @@ def _told(notes: dict[str, list[str]]) -> list[str]:
     for name, note in ((name, note) for name, told in notes.items() for note in told if "meta.toml: missing" not in note):
         alike.setdefault(note.replace(name, "*"), []).append((name, note))
     more = {key: f" (and {len(same) - 1} more trials)" if len(same) > 1 else "" for key, same in alike.items()}
-    lines = [f"{same[0][0]}: note: {same[0][1]}{more[key]}" for key, same in alike.items()]
+    lines = kinds_first(f"{same[0][0]}: note: {same[0][1]}{more[key]}" for key, same in alike.items())
     rest = [f"and {len(lines) - NOTES} more notes, in meta.toml of each trial"] if len(lines) > NOTES else []
     return [*map(_line, lines[:NOTES]), *rest]
 
 
 def _refuse_bad(args: Namespace, found: ImportResult) -> NoReturn:
     """Raises LogError with the first recordings that could not be read, in one line."""
-    reasons = list(found.skipped.values())
+    reasons = kinds_first(found.skipped.values())
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     others = not args.skip_bad and any(name not in found.skipped for name, _ in found.trials)
     leave = "; import the others with --skip-bad" if others else ""

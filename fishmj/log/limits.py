@@ -1,8 +1,10 @@
 """Limits on foreign files: their kind, their unpacked size, and the length of their text in messages."""
 
 import os
+import re
 import shlex
 import struct
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -80,3 +82,14 @@ def bare(text: object, most: int = 40) -> str:
 def typed(text: object) -> str:
     """`text` as it is typed on a command line: in quotes where it has blanks or other marks of the shell."""
     return shlex.quote(bare(text))
+
+
+def kinds_first(lines: Iterable[str]) -> list[str]:
+    """Lines, each once, in the order of: the first of each kind, the second, ..; one kind differs in numbers and paths only."""
+    seen: Counter[str] = Counter()
+    ranked = []
+    for line in dict.fromkeys(lines):
+        kind = re.sub(r"^\S+:|\S*[\d/]\S*", "#", line)  # a file or trial comes first
+        seen[kind] += 1
+        ranked.append((seen[kind], line))
+    return [line for _, line in sorted(ranked, key=lambda found: found[0])]

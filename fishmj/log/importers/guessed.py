@@ -12,7 +12,7 @@ from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Gu
 from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.sheet import DATE
-from fishmj.log.limits import bare, typed
+from fishmj.log.limits import bare, kinds_first, typed
 from fishmj.log.trial_folder import OF_ARM
 
 Guesses = list[tuple[Sequence[FileKind], list[Guess]]]  # one for each layout of files
@@ -132,10 +132,10 @@ def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     """
     doubts = [(f"{bare(kinds[g.kind].sheets[0].name)}: " * (len(kinds) > 1), g) for kinds, made in found for g in unclear(made)]
     if doubts:
-        text = "; ".join(f"{file}{bare(g.column)}: {g.why}, --set {typed(g.column)}={choices(g)}" for file, g in doubts[:4])
-        more = f"; and {len(doubts) - 4} more" if len(doubts) > 4 else ""
+        texts = kinds_first(f"{file}{bare(g.column)}: {g.why}, --set {typed(g.column)}={choices(g)}" for file, g in doubts)
+        text = "; ".join(texts[:4]) + (f"; and {len(texts) - 4} more" if len(texts) > 4 else "")
         raise LogError(
-            f"{source}: {len(doubts)} column(s) unclear: {text}{more}; or COLUMN=skip; or --write-map "
+            f"{source}: {len(doubts)} column(s) unclear: {text}; or COLUMN=skip; or --write-map "
             "MAP.toml, mend it, --columns MAP.toml"
         )
     if yes or all(_certain(g) for _, made in found for g in made):
