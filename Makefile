@@ -1,7 +1,7 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, and the tests of every run: all fast ones, and each part of the product once
 # make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, docs, wheel
-# make verify-share SHARE=2/10   the second of ten parts of it: as much as .ci/run has time for
+# make verify-share SHARE=2/15   the second of fifteen parts of it: as much as .ci/run has time for
 # make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
 # make lint         style and types only
