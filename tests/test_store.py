@@ -201,9 +201,9 @@ def test_shipped_data_are_found_from_any_folder_unless_the_user_has_a_copy(tmp_p
     assert shipped("data/gap/lbm/nulls") == Path("data/gap/lbm/nulls")
 
 
-def test_an_installed_package_says_where_the_rest_of_the_data_is(monkeypatch):
+def test_an_installed_package_says_where_the_rest_of_the_data_is(monkeypatch, tmp_path):
     assert left_out("data/gap/lbm/planted") == "", "a checkout has all"
-    monkeypatch.setattr("fishmj.base.store.manifest.OWN", Path("data"))
+    monkeypatch.setattr("fishmj.base.store.manifest.FOLDERS", (tmp_path / "data" / "calib",))
     assert "checkout or the source distribution (sdist)" in left_out("data/gap/lbm/planted")
     assert left_out("elsewhere/data") == ""
 
