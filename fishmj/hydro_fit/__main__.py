@@ -68,8 +68,9 @@ def gathered(robot: Robot, args) -> Path:
     out, place = Path(args.out or FOLDERS[0]), args.data and Path(args.data)
     for folder in (out, place or DATA):  # hours may lie between now and the first file
         console.out_folder(str(folder))
-    if place is None and not (DATA / robot.name / SPLIT).is_file() and (at := shipped_of(robot)) and open_dataset(at).whole:
-        place = at
+    begun = (DATA / robot.name / SPLIT).is_file()
+    if place is None and not begun and (there := shipped_of(robot)) and there.whole:
+        place = there.folder
     standing = standing_model(out, args.name or robot.name, robot_hash(robot))
     grid = "" if standing is None or standing[0].preview else str(standing[0].dataset.get("grid", ""))
     given = {"device": args.device, "ray": args.ray or "", "budget": args.budget, "quiet": args.json}
@@ -97,17 +98,17 @@ def data_of(robot: Robot, args) -> Path:
     own = DATA / robot.name
     if args.data or (own / MANIFEST).is_file():
         return Path(args.data or own)
-    if shipped := shipped_of(robot):
-        console.say(f"no data set in {own}: using the shipped {shipped}")
-        return shipped
+    if there := shipped_of(robot):
+        console.say(f"no data set in {own}: using the shipped {there.folder}")
+        return there.folder
     preview = DATA / f"{robot.name}{PREVIEW}"
     return preview if (preview / MANIFEST).is_file() else own
 
 
-def shipped_of(robot: Robot) -> Path | None:
+def shipped_of(robot: Robot) -> SegmentDataset | None:
     """The shipped data set of this fish, if there is one."""
-    there = (path for path in SHIPPED if (path / MANIFEST).is_file())
-    return next((path for path in there if open_dataset(path).robot["name"] == robot.name), None)
+    there = (open_dataset(path) for path in SHIPPED if (path / MANIFEST).is_file())
+    return next((data for data in there if data.robot["name"] == robot.name), None)
 
 
 def options(verb: str) -> console.Parser:

@@ -217,8 +217,9 @@ def _servo(given: Mapping[str, Any]) -> Iterator[KeyFault]:
 
 def _blamed(s: Mapping[str, float], key: str) -> tuple[str, str, str]:
     """(key, value, unit) of the odd one in kp times an angle, range or resolution: the angle, if kp suits that of most servos."""
-    usual = s["kp"] * getattr(Servo(), key) / s["torque"]
-    if usual >= 0.2 if key == "range" else usual <= 1.0:
+    usual = s["kp"] * getattr(Servo(), key) / s["torque"]  # with the default servo's angle
+    suits = usual >= 0.2 if key == "range" else usual <= 1.0
+    if suits:
         return key, f"{s[key]:.4g} rad ({degrees(s[key]):.4g} deg)", "rad, or deg with _deg behind its name"
     return "kp", f"{s['kp']:g} N m/rad", "N m/rad"
 

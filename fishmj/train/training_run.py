@@ -279,7 +279,7 @@ class TrainingRun:
             write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)
             if self._assessment_is_due():
                 self._judge(board, write)
-            while self.done < s.steps and not asked and not (self.best is not None and self.stop_when(self.best)):
+            while self.done < s.steps and not asked and not self._is_good():
                 figures = self._iterate()
                 self.done += self.algorithm.steps_per_iteration
                 self.seconds = time.monotonic() - start
@@ -296,6 +296,9 @@ class TrainingRun:
             self.seconds = time.monotonic() - start
             write(self._save) and write(self._export, "last", {})
         return summary_of(s, self.folder, self.done, self.seconds, self.best, bool(asked), self.devices)
+
+    def _is_good(self) -> bool:
+        return self.best is not None and self.stop_when(self.best)
 
     def _assessment_is_due(self) -> bool:
         """Returns True if an assessment is due.

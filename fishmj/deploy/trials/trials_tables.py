@@ -142,8 +142,8 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
         raise ConfigError(f"{file}: none of these trials: other speeds, lines of sight or repeats")
     if missing := len(set(wanted) - set(found)):
         console.warn(f"{folder}: {missing} of {len(wanted)} trials are not there")
-    made = own._replace(controller=f"{policy}, {folder.resolve().name}", policy_sha256="", engine="", known=figures, action=None)
-    made = made._replace(policy=_training(folder, policy))
+    name, training = f"{policy}, {folder.resolve().name}", _training(folder, policy)
+    made = own._replace(controller=name, policy_sha256="", policy=training, engine="", known=figures, action=None)
     gone = np.isfinite(away)
     if series := _series(folder / "logs", policy, own):
         ticks = np.where(gone, np.round(np.nan_to_num(away) / own.robot.timing.bus_dt).astype(int), len(own.t))
