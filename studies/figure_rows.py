@@ -192,7 +192,7 @@ def front_page(label: str) -> list[float]:
     waters = [
         [row for row in swims if (row["water"], row["seed"]) == one] for one in {(row["water"], row["seed"]) for row in swims}
     ]
-    other = [float(column(some, "rmse_after_arrival").mean()) for some in waters]
+    other = [float(np.nanmean(column(some, "rmse_after_arrival"))) for some in waters]
     slip = [row for row in rows if "0.97" in row["water"]]
     others = [
         column(slip, "arrival").sum(),

@@ -170,9 +170,9 @@ def test_a_fish_that_left_keeps_its_distance_and_counts_energy_until_then():
 def other_water(folder, name="station", **change):
     """What `evaluate --out` leaves, of an other water."""
     folder.mkdir(parents=True)
-    head = ["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *metrics.UNITS]
+    head = ["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", "solver_failed_at", *metrics.UNITS]
     rows = [
-        [name, u, b, r, 0, 5, "", *(0.5 + 0.01 * k for k in range(len(metrics.UNITS)))]
+        [name, u, b, r, 0, 5, "", "", *(0.5 + 0.01 * k for k in range(len(metrics.UNITS)))]
         for u in (0.1, 0.2)
         for b in (0, 90)
         for r in (0,)

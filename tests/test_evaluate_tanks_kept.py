@@ -3,6 +3,8 @@
 The tanks are replaced by a pond without water: a fish turns with its first joint, in a device that is slow where it flows fast.
 """
 
+import csv
+import io
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from fishmj import control
 from fishmj.base.ray_cluster import RayCluster
 from fishmj.engines import FishState, Trace, drained, lbm
-from fishmj.evaluate import run_trials, trial_logs, trials
+from fishmj.evaluate import metrics, run_trials, trial_logs, trial_report, trials
 from fishmj.mjcf import load_robot
 
 ROBOT = load_robot("fish")
@@ -103,6 +105,30 @@ def test_a_stopped_trial_is_kept_with_its_reason(tmp_path, monkeypatch, capsys):
     found = judged(tmp_path, tanks=3)
     assert (found.left[PLAN.speed > 0.2] == 51).all() and capsys.readouterr().err.count("truncated: left_domain") == 4
     assert (judged(tmp_path).left == found.left).all()
+
+
+def test_figures_before_the_solver_fails_stand_and_the_report_counts_the_failures():
+    whole = 3000  # ticks of a trial of a minute, at 2 cm from its target once it is there
+    plan = trials(speeds=[0.2], los_deg=[0, 45, 90, 135, 180, 225], repeats=1)
+    near = np.where(np.arange(whole + 1) < 250, 1.0, 0.02)
+    rows = []
+    for ticks in (2500, 1000, *[whole] * 4):  # the solver fails at 50 and at 20 s in two of six
+        shape = lambda *n: np.zeros((whole, *n))
+        row = {"pose": np.zeros((whole + 1, 3)), "velocity": np.zeros((whole + 1, 3)), "joint": np.zeros((whole + 1, 3))}
+        row |= {"rate": np.zeros((whole + 1, 3)), "power": shape(), "command": shape(3), "obs": np.zeros((300, 11))}
+        row |= {"distance": near, "left": np.array(whole + 1), "t": np.arange(whole + 1) * 0.02, "target": np.zeros(2)}
+        rows.append(row if ticks == whole else run_trials.ended(row, "a marker moves at 9 m/s", ticks))
+    found = run_trials.merged(control.make("dob", ROBOT), ROBOT, plan, "tanks, reference-2", rows)
+    figures = metrics.figures(found)
+    np.testing.assert_allclose(figures["rmse_after_arrival"], [0.02, np.nan, *[0.02] * 4])
+    np.testing.assert_allclose(figures["rmse_last20"], [np.nan, np.nan, *[0.02] * 4])
+    summed = metrics.summary(found)
+    assert (summed["failed"], summed["left_domain"]) == (2, 0) and figures["arrival"].tolist() == [1.0] * 6
+    (line,) = trial_report.failures([found])
+    assert "failed in 2 of 6 trials, after 20.0 to 50.0 s" in line
+    assert "arrives in 6 of 6 trials and holds station in 5" in trial_report.headline([found]) and trial_report.worst(found) == 1
+    written = list(csv.DictReader(io.StringIO(trial_report.trials_csv([found]))))
+    assert [row["solver_failed_at"] for row in written] == ["50.02", "20.02", *[""] * 4]
 
 
 def test_a_controller_that_cannot_be_copied_judges_one_trial_after_another(ponds, capsys):

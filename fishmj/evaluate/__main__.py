@@ -336,7 +336,7 @@ def report(results: list[Result], args) -> int:
 
 def say_tables(results: list[Result], summaries: list[dict]) -> None:
     """Prints the figures of all controllers."""
-    head = [trial_report.condition(results[0]), *trial_report.not_as_trained(summaries)]
+    head = [trial_report.condition(results[0]), *trial_report.not_as_trained(summaries), *trial_report.failures(results)]
     console.say("", *head, "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(trial_report.overall(summaries)), "")
     console.say(*map(console.table, trial_report.energy_rows(summaries)), *trial_report.unbounded(summaries))

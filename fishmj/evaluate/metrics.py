@@ -23,6 +23,7 @@ The course figure_eight, with power and the energies as above:
 
 A figure is NaN if a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat does not count as
 turning or as way. A trial that leaves the domain keeps its distance from then on; power, way and heading count until it leaves.
+If the flow solver fails in a trial, its later distance is NaN, and so is every figure over that time.
 Means have bootstrap intervals, by condition, and in paired comparisons:
 
     interval      percentile bootstrap over trials, 95 %, fixed seed (Efron & Tibshirani 1993)
@@ -115,6 +116,11 @@ def arrival_tick(result: Result) -> np.ndarray:
     return np.where(inside.any(1), inside.argmax(1), -1)
 
 
+def failed(r: Result) -> np.ndarray:
+    """True (n,) where the water or the motion of a trial failed in the flow solver, at `t[left]`."""
+    return np.isnan(r.distance[:, -1]) if r.known is None and r.water == LBM else np.zeros(len(r.trials), bool)
+
+
 def figures(r: Result) -> dict[str, np.ndarray]:
     """Figures (n,), one for each trial, by key."""
     if r.known is not None:
@@ -194,7 +200,7 @@ def rms(r: Result, start, end: float) -> np.ndarray:
     """Root mean square distance from `start` ((n,) or one number) to `end` [s]; NaN if the run is shorter."""
     start = np.broadcast_to(start, (len(r.trials),))[:, None]
     inside = (r.t >= start - 1e-9) & (r.t <= end + 1e-9)
-    mean = np.sum(r.distance**2 * inside, 1) / np.maximum(inside.sum(1), 1)
+    mean = np.sum(np.where(inside, r.distance, 0.0) ** 2, 1) / np.maximum(inside.sum(1), 1)  # NaN counts inside alone
     return np.where((r.t[-1] >= end - 1e-9) & inside.any(1), np.sqrt(mean), np.nan)
 
 
@@ -352,7 +358,8 @@ def summary(result: Result) -> dict:
 
     Returns:
         {"controller", "policy", "n", "overall": {key: {value, low, high, n, why, unit}}, "by_speed": {"0.1": ..},
-        "by_los": {"45": ..}, "left_domain"}; policy as in `Result`; "task" if it is not station holding
+        "by_los": {"45": ..}, "left_domain", "failed"}; policy as in `Result`; "task" if it is not station holding. The last two
+        are the numbers of trials that left, and in which the flow solver failed.
     """
     found = figures(result)
     trials = result.trials
@@ -366,7 +373,8 @@ def summary(result: Result) -> dict:
         "overall": gather(found, short=short),
         "by_speed": {f"{u:g}": gather(found, trials.speed == u, short) for u in np.unique(trials.speed)},
         "by_los": {f"{b}": gather(found, degrees == b, short) for b in np.unique(degrees)},
-        "left_domain": int(np.sum(result.left < len(result.t))),
+        "left_domain": int(np.sum((result.left < len(result.t)) & ~failed(result))),
+        "failed": int(np.sum(failed(result))),
     }
 
 

@@ -21,7 +21,7 @@ from fishmj.base.errors import FishmjError, StoreError
 from fishmj.base.pages import Section, figure, part, report, table
 from fishmj.base.store import clear, write_text
 from fishmj.engines.hybrid.online_correction import KINDS
-from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, figures, rms, too_few
+from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, estimate, failed, figures, rms, too_few, too_short
 from fishmj.evaluate.plots import PICTURES
 from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
 from fishmj.evaluate.trial_logs import MARKS, corrections, name_of, trial_of, write_logs
@@ -137,6 +137,18 @@ def unbounded(summaries: list[dict]) -> list[str]:
     return [f"{name}: {', '.join(heads)}: {why}" for (name, why), heads in found.items()]
 
 
+def failures(results: list[Result]) -> list[str]:
+    """Lines, one for each controller in whose trials the flow solver failed."""
+    lines = []
+    for r in results:
+        if (lost := failed(r)).any():
+            times = r.t[r.left[lost]]
+            words = f"the flow solver failed in {lost.sum()} of {len(lost)} trials"
+            when = f"after {times.min():.1f} to {times.max():.1f} s"
+            lines.append(f"{r.controller}: {words}, {when}: figures over later times are of the other trials alone")
+    return lines
+
+
 def number(x: float, form: str) -> str:
     """Text of a number, or `-` for NaN."""
     return format(x, form) if isfinite(x) else "-"
@@ -245,25 +257,30 @@ def save(folder: Path, results: list[Result], found: dict) -> None:
 
 
 def trials_csv(results: list[Result]) -> str:
-    """CSV text, one row for each trial and controller: condition, seed, every figure."""
+    """CSV text, one row for each trial and controller: condition, seed, times of leaving and failing [s], figures."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     keys = list(figures(results[0]))
-    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", *keys])
+    out.writerow(["controller", "speed", "los_deg", "repeat", "seed", "flow_seed", "left_domain_at", "solver_failed_at", *keys])
     for r in results:
-        found, seeds = figures(r), r.trials.flow_seeds
+        found, seeds, lost = figures(r), r.trials.flow_seeds, failed(r)
         for i, t in enumerate(r.trials.items):
-            left = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
+            end = f"{r.t[r.left[i]]:.2f}" if r.left[i] < len(r.t) else ""
+            left, broke = ("", end) if lost[i] else (end, "")
             name = f"'{r.controller}" if r.controller[:1] in FORMULA else r.controller  # as spreadsheets mark text
-            row = [name, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left]
+            row = [name, f"{t.speed:g}", f"{np.degrees(t.los):g}", t.repeat, t.seed[0], seeds[i], left, broke]
             out.writerow([*row, *(f"{found[key][i]:.6g}" if np.isfinite(found[key][i]) else "" for key in keys)])
     return text.getvalue()
 
 
 def worst(r: Result) -> int:
-    """Index of the trial with the largest RMS distance, of `LEADING`; in a judgement too short for it, over all of it."""
-    after = figures(r)[LEADING[r.trials.task]]
-    return int(np.argmax(after if np.isfinite(after).all() else rms(r, 0.0, float(r.t[-1]))))
+    """Index of the trial with the largest RMS distance, of `LEADING`; in a judgement too short for it, over all of it.
+
+    A trial that has no figure since the solver failed in it is worse than any other.
+    """
+    key = LEADING[r.trials.task]
+    far = rms(r, 0.0, float(r.t[-1])) if key in too_short(r.trials) else figures(r)[key]
+    return int(np.argmax(np.nan_to_num(far, nan=np.inf)))
 
 
 def trials_held(r: Result) -> int | None:
@@ -273,7 +290,7 @@ def trials_held(r: Result) -> int | None:
         return None
     after = found["rmse_after_arrival"]
     within = (found["arrival"] > 0) & (after <= constant("protocol", "arrival_radius"))
-    return int(within.sum()) if np.isfinite(after).all() else None
+    return None if "rmse_after_arrival" in too_short(r.trials) else int(within.sum())
 
 
 def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> dict:
@@ -329,7 +346,7 @@ def headline(results: list[Result]) -> str:
     first, radius = results[0], constant("protocol", "arrival_radius")
     found, task = figures(first), first.trials.task
     if task != HOLD:
-        other, far = baseline(results), f"{found[LEADING[task]].mean():.3f} m RMS"
+        other, far = baseline(results), f"{estimate('', found[LEADING[task]]).value:.3f} m RMS"
         words = f"{first.controller} is {far} from the path on average"
         if task == ANGLE:
             words = (
@@ -338,9 +355,10 @@ def headline(results: list[Result]) -> str:
         return f"{words}; {against(first, other)}." if other else f"{words}."
     after, n = found["rmse_after_arrival"], len(first.trials)
     words = f"{first.controller} arrives in {int(np.nansum(found['arrival']))} of {n} trials"
-    if not np.isfinite(after).all():
+    if "rmse_after_arrival" in too_short(first.trials):
         return f"{words}, which are too short to judge how it holds."
-    words += f" and holds station in {trials_held(first)} (stays within {radius:g} m RMS), at {after.mean():.3f} m RMS on average"
+    far = estimate(LEADING[HOLD], after).value
+    words += f" and holds station in {trials_held(first)} (stays within {radius:g} m RMS), at {far:.3f} m RMS on average"
     other = baseline(results)
     return f"{words}; {against(first, other)}." if other else f"{words}."
 
@@ -358,7 +376,7 @@ def against(first: Result, other: Result) -> str:
         return f"these trials do not tell it from {other.controller}"
     to = "the path" if first.trials.task == EIGHT else "the target"
     side = f"nearer to {to} than" if d.value > 0 else f"farther from {to} than"
-    mean = figures(other)[key].mean()
+    mean = estimate(key, figures(other)[key]).value
     without = "no control, " if other.controller == BASELINE else ""
     return f"{abs(d.value):.3f} m {side} {other.controller} ({without}{mean:.3f} m)"
 
@@ -376,10 +394,10 @@ def page(
     first, summaries, told = results[0], found["results"], baseline(results)
     mark = MARKS[first.trials.task]
     named = f"{', '.join(s['controller'] for s in summaries)}: {mark.lower()}"
-    notes = [found["condition"], *not_as_trained(summaries)]
+    notes = [found["condition"], *not_as_trained(summaries), *failures(results)]
     if told is None:
         notes.append(f"Judged alone. {alone}")
-    elif np.isfinite(figures(first)[LEADING[first.trials.task]]).all():
+    elif LEADING[first.trials.task] not in too_short(first.trials):
         notes += [f"Against {other.controller}: {against(first, other)}." for other in results[1:] if other is not told]
     worst_name = name_of(first, worst(first))
     if replay:
