@@ -166,7 +166,7 @@ def test_the_split_is_on_disk_before_the_first_segment_and_cannot_change(tmp_pat
 
 def test_complete_data_set_stays_but_refuses_segments_of_another_solver(tmp_path, monkeypatch):
     collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True)
-    monkeypatch.setattr(run_segments, "solver_sha256", lambda law: "0" * 64)
+    monkeypatch.setattr(run_segments, "solver_sha256", lambda domain, sharpness: "0" * 64)
     assert collect(some(), tmp_path, SETUP, pool=Toys(), quiet=True).complete
     assert open_dataset(tmp_path).meta["solver"] == {"sha256": solver_sha256()}
     with pytest.raises(ConfigError, match="another solver"):
@@ -187,6 +187,8 @@ def test_shipped_segments_are_those_of_this_solver():
 def test_segments_of_another_law_of_the_wall_are_of_another_solver():
     plain, law = SETUP.about["solver"], replace(SETUP, sharpness=WALL_STRESS).about["solver"]
     assert plain == replace(SETUP, sharpness=EDGES).about["solver"] == {"sha256": solver_hash.SHIPPED} != law
+    finer = replace(SETUP, domain=preset("window_coarse_refined")).about["solver"]
+    assert finer["sha256"] not in (solver_hash.SHIPPED, law["sha256"])  # whose repeated ticks missed the place of a moved box
     assert law["sha256"] not in (solver_hash.WALLS, solver_hash.LAYERS)  # which had all of the stress at the wall
 
 

@@ -20,7 +20,7 @@ from fishmj.lbm_oracle.refined.refined_structure import RefinedStructure
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import DomainWatch, Gait, SwimSetup
-from fishmj.lbm_oracle.run.time_refinement import hand_over
+from fishmj.lbm_oracle.run.time_refinement import checkpoint, hand_over, restore
 from fishmj.water.flow import Flow
 
 pytestmark = pytest.mark.oracle
@@ -323,6 +323,29 @@ def test_levels_survive_another_time_step_and_back():
     for level, velocity in zip(water.levels, before[0], strict=True):
         assert level.velocity() == pytest.approx(velocity, abs=2 * UNIT * level.lattice.velocity)  # kept anew twice
     assert water.account == before[1]
+
+
+@pytest.mark.parametrize("case", ["finer water made before", "checkpoint from before"])
+def test_a_repeated_tick_knows_where_its_box_has_moved(case):
+    """Twins of one swim; in one the box moves after the finer water, or the checkpoint, was made. Both then do the same ticks."""
+    one, twin, again = pool(), pool(), case == "finer water made before"
+    for run in (one, twin):
+        run.tick(QUICK(run.time))
+    if again:
+        one._refinement.finer(2)
+        for run in (one, twin):
+            run.coupled.fluid.move((1, 0, 0))
+    else:
+        kept = checkpoint(one.coupled)
+        one.coupled.fluid.move((1, 0, 0))
+        restore(one.coupled, kept)
+    for _ in range(2):
+        for run in (one, twin):
+            run.fastest = 10.0 if again else 0.0
+            run.tick(QUICK(run.time))
+    assert one.refined == 2 * again and (one.angles() == twin.angles()).all() and (one.pose == twin.pose).all()
+    for mine, its in zip(one.coupled.fluid.levels, twin.coupled.fluid.levels, strict=True):
+        assert (mine.origin_lu == its.origin_lu).all() and (mine.velocity() == its.velocity()).all()
 
 
 def test_a_tick_of_half_a_coarse_step_is_refused():

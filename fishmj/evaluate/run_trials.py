@@ -459,8 +459,10 @@ def name_of(brain, item) -> str:
 def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> str:
     """Eight characters that change with everything that would change a trial's result."""
     from fishmj.engines.lbm import HELD
+    from fishmj.hydro_fit.campaign.data.solver_hash import SHIPPED, solver_sha256
     from fishmj.lbm_oracle.run.solver_water import PLAIN
 
+    solver = solver_sha256(water.box, water.sharpness)
     what = {
         "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
         "robot": repr(robot),
@@ -469,6 +471,7 @@ def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> st
         },
         "seed": trials.items[0].seed[:2],
         "water": [water.domain, water.slip, HELD, *([] if water.dx is None else [water.dx])],
+        **({} if solver == SHIPPED else {"solver": solver}),
         **({} if water.nu == PLAIN.nu else {"nu": water.nu}),
         **({"immersed": {k: repr(v) for k, v in water.immersed.items()}} if water.immersed != PLAIN.immersed else {}),
         **({"effects": repr(robot.effects)} if robot.effects else {}),

@@ -165,7 +165,7 @@ def verdict(trials: protocol.Trials, solved: list[dict], swum: list[dict], model
         "slip": model.slip,
         "domain": args.solver.domain,
         **boundary_entry(args.solver.sharpness),
-        "solver_sha256": solver_sha256(),
+        "solver_sha256": solver_sha256(args.solver.box, args.solver.sharpness),
         "seed": args.seed,
         "trials": {"n": len(trials), "asked": args.trials} | {key: x for key, x in asdict(trials).items() if key != "items"},
         "conditions": [[item.speed, round(float(np.degrees(item.los)), 6), item.repeat] for item in trials.items],

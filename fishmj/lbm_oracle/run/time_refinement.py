@@ -71,7 +71,6 @@ class TickState(NamedTuple):
 
     f: wp.array
     u: wp.array
-    origin: wp.array
     origin_lu: np.ndarray
     steps: int
     outer: tuple[OuterState, ...]  # the coarser levels, the finer first
@@ -87,7 +86,7 @@ def checkpoint(coupled: FluidStructure) -> TickState:
     solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time
     solid += body.momentum.copy(), body.interior_speed.copy(), body.layer_momentum.copy()
     with coupled.scope():
-        water = wp.clone(fluid.f), wp.clone(fluid.u), wp.clone(fluid.origin), fluid.origin_lu.copy(), fluid.steps
+        water = wp.clone(fluid.f), wp.clone(fluid.u), fluid.origin_lu.copy(), fluid.steps
         outer = tuple(
             OuterState(wp.clone(level.f), wp.clone(level.u), level.origin_lu.copy(), level.steps) for level in fluid.levels[1:]
         )
@@ -102,13 +101,11 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
         wp.copy(fluid.f, kept.f)
         wp.copy(fluid.u, kept.u)
         wp.copy(coupled.boundary.wrench, kept.wrench)
-        _set_clock(fluid, kept.origin, kept.origin_lu, kept.steps)
+        _set_place(fluid, kept.origin_lu, kept.steps)
         for level, water in zip(fluid.levels[1:], kept.outer, strict=True):
             wp.copy(level.f, water.f)
             wp.copy(level.u, water.u)
-            level._place(water.origin_lu.copy())
-            level.steps = water.steps
-            level.clock.fill_(water.steps)
+            _set_place(level, water.origin_lu, water.steps)
     qpos, qvel, data.ctrl[:], data.time, momentum_before, interior_speed, layers_before = kept.body
     body.place(qpos, qvel, interior_speed)
     body.layer_momentum[:] = layers_before
@@ -166,7 +163,7 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     with taker.scope():
         inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
         wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
-        _set_clock(b, a.origin, a.origin_lu, round(a.steps / r))
+        _set_place(b, a.origin_lu, round(a.steps / r))
         if isinstance(a, RefinedFluid) and isinstance(b, RefinedFluid):
             b.take_outer(a)
             taker.steps = b.steps  # an attempt may be given up after any step: looks shall fall between two coarse steps
@@ -178,7 +175,7 @@ def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     body.set_step(b.lattice.dt)
 
 
-def _set_clock(fluid: Fluid, origin: wp.array, origin_lu: np.ndarray, steps: int) -> None:
-    wp.copy(fluid.origin, origin)
-    fluid.origin_lu, fluid.steps = origin_lu.copy(), int(steps)
+def _set_place(fluid: Fluid, origin_lu: np.ndarray, steps: int) -> None:
+    fluid._place(origin_lu.copy())  # a finer box also keeps, on the device, where it lies in the coarser water
+    fluid.steps = int(steps)
     fluid.clock.fill_(fluid.steps)

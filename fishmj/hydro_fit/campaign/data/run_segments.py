@@ -64,7 +64,7 @@ class Setup:
         grid |= boundary_entry(self.sharpness)
         return {
             "robot": {"name": robot.name, "joints": robot.n_joints, "sha256": fingerprint(robot)},
-            "solver": {"sha256": solver_sha256(law=self.sharpness.law_height is not None)},
+            "solver": {"sha256": solver_sha256(domain, self.sharpness)},
             "grid": grid | {"kernel": self.width, "passes": self.passes, "preview": domain.name in PREVIEWS},
         }
 

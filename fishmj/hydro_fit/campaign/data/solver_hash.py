@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 
 from fishmj import lbm_oracle
+from fishmj.lbm_oracle.immersed.markers import PLAIN, Sharpness
+from fishmj.lbm_oracle.run.domain import Domain
 
 PHYSICS = (
     *("fluid/collide", "fluid/domain_faces", "fluid/fluid", "fluid/inflow", "fluid/lattice", "fluid/pairs", "fluid/rows"),
@@ -45,23 +47,27 @@ STRIPS = "fd800b9bc1b98f70f59f79be8e3c77f6c132131a16b94082d36bf562966f3e89"  # b
 ADVISED = "d891ef68f617eff224cdc76b455da9562231f5ad7e356bf55490d2a9bce79424"  # words of an error alone
 # the slip length of hulls where water sticks; the rest to the bit
 STICKING = "0f32fa9ac2aaf1fcf024c955ada5ea1525658a38fbafa98338a9f26b52017787"
+# a repeated tick knows where its box of finer cells has moved; water without such a box to the bit
+PLACED = "6278da82b0cfd38aa97e99455988d4276d925aa281d59f6b3bf7b59194f82cae"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED, STICKING), SHIPPED)
+SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED, STICKING, PLACED), SHIPPED)
 # of segments with a law of the wall; SPREAD gives the water its force over a layer
-SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD, STICKING: SPREAD}
+SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD, STICKING: SPREAD, PLACED: SPREAD}
+SAME_REFINED: dict[str, str] = {}  # of water with boxes of finer cells
 
 
 @cache
-def solver_sha256(law: bool = False) -> str:
+def solver_sha256(domain: Domain | None = None, sharpness: Sharpness = PLAIN) -> str:
     """sha256 of the modules in `PHYSICS`; if no result changed, still that of the code before the change.
 
-    law: True for a boundary with a law of the wall, whose results changed where the others' did not.
+    domain, sharpness: of the water; the results of boxes of finer cells and of laws of the wall changed where others' did not.
     """
     folder = Path(str(lbm_oracle.__file__)).parent
     total = hashlib.sha256()
     for name in PHYSICS:
         total.update(f"\0{name}\0{code_of((folder / f'{name}.py').read_text(encoding='utf-8'))}".encode())
-    return (SAME_LAW if law else SAME).get(total.hexdigest(), total.hexdigest())
+    refined, law = domain is not None and domain.fine is not None, sharpness.law_height is not None
+    return (SAME_REFINED if refined else SAME_LAW if law else SAME).get(total.hexdigest(), total.hexdigest())
 
 
 def code_of(source: str) -> str:
