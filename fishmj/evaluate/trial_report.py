@@ -357,8 +357,8 @@ def headline(results: list[Result]) -> str:
     words = f"{first.controller} arrives in {int(np.nansum(found['arrival']))} of {n} trials"
     if "rmse_after_arrival" in too_short(first.trials):
         return f"{words}, which are too short to judge how it holds."
-    far = estimate(LEADING[HOLD], after).value
-    words += f" and holds station in {trials_held(first)} (stays within {radius:g} m RMS), at {far:.3f} m RMS on average"
+    average = estimate(LEADING[HOLD], after).value
+    words += f" and holds station in {trials_held(first)} (stays within {radius:g} m RMS), at {average:.3f} m RMS on average"
     other = baseline(results)
     return f"{words}; {against(first, other)}." if other else f"{words}."
 
