@@ -3,7 +3,7 @@
 import lab_files
 import numpy as np
 import pytest
-from lab_files import only
+from lab_files import WAVE, N, near, only
 
 
 @pytest.fixture
@@ -74,3 +74,38 @@ def test_a_count_of_frames_that_another_clock_contradicts_is_noted(tmp_path, bri
     assert "parts by" not in " ".join(only(tmp_path / "same").meta["notes"])
     code, _, err = bring(by_frames(tmp_path, frames % 500)[0], "--yes", out=tmp_path / "again")
     assert code == 2 and "'frame' counts the rows, but begins again" in err
+
+
+UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        *(("ms_since_boot", "ms"), ("time_since_boot_ms", "ms"), ("uptime_us", "us"), ("millis", "ms"), ("msSinceBoot", "ms")),
+        *(("Milliseconds since start", "ms"), ("Time (us since power-on)", "us"), ("seconds_elapsed", "s"), ("t_us_mcu", "us")),
+        *(("time_since_start", "s"), ("esp_millis", "ms"), ("micros_teensy", "us"), ("monotonic_ns", "ns"), ("ms_of_day", "ms")),
+    ],
+)
+def test_a_time_whose_name_has_its_unit_is_read_unasked(tmp_path, bring, name, unit):
+    """In front, at the end or between: of a clock at 40 rows a second that has long been on."""
+    t = 130.0 + 0.025 * N
+    lab_files.write(tmp_path / "a.csv", {name: t * UNITS[unit], "servo1_deg": 20 * WAVE})
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 0, err
+    near(np.diff(only(tmp_path / "set").tables["cmd"]["t"]), 0.025 + 0 * N[1:])
+
+
+@pytest.mark.parametrize(
+    ("column", "asked"),
+    [
+        ({"loop_ms": 20.0 * N}, "is it this one"),  # rises, but is called a span
+        ({"ms_since_last_frame": 20.0 * N}, "is it this one"),
+        ({"mcu_ms": 20.0 * N, "host_ms": 20.0 * N + 3 * WAVE}, "host_ms"),  # which?
+        ({"age_ms": 20.0 + 3 * WAVE}, "no column of time"),  # falls
+    ],
+)
+def test_a_span_of_time_and_one_of_two_clocks_stay_a_question(tmp_path, bring, column, asked):
+    lab_files.write(tmp_path / "a.csv", {**column, "servo1_deg": 20 * WAVE})
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and asked in err, err

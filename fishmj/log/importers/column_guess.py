@@ -78,6 +78,27 @@ def without_letter(column: str, columns: Sequence[str]) -> str:
     return stem.rstrip("_-. ") or column if alike and last.isalpha() else column
 
 
+def stamps(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
+    """Takes, in a file without a named time, the only column that rises in every row and is in a unit of stamps: mcu_ms."""
+    out = list(guesses)
+    for k, kind in enumerate(found):
+        mine = [i for i, g in enumerate(guesses) if g.kind == k]
+        if any(guesses[i].place == "t" for i in mine) or all(guesses[i].state == LEFT for i in mine):
+            continue
+        units = {i: header.stamp_unit(guesses[i].column) for i in mine if guesses[i].state == LEFT and not guesses[i].said}
+        rising = [i for i, unit in units.items() if unit and all(_rises(s.columns[guesses[i].column]) for s in kind.sheets)]
+        if len(rising) == 1:
+            i = rising[0]
+            why = "no column is called a time, and it alone rises in a unit of time"
+            out[i] = replace(guesses[i], state=TAKEN, places=("t",), unit=units[i], why=why)
+    return out
+
+
+def _rises(values: np.ndarray) -> bool:
+    step = np.diff(values)
+    return len(step) > 0 and bool((step >= 0).all()) and 2 * int((step > 0).sum()) > len(step)
+
+
 def headings(guesses: list[Guess]) -> list[Guess]:
     """Asks about one angle without a number beside x and y: the heading of the fish, or the angle of a joint."""
     places, out = {(g.kind, g.place) for g in guesses}, list(guesses)

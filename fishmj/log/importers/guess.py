@@ -68,7 +68,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
         out += _roles(k, kind, said)
     if unknown := [name for name in said if not any(kind.called(name) for kind in found)]:
         raise UnknownName("column in --set", bare(unknown[0]), {bare(g.column) for g in out})
-    out = _commanded_or_measured(column_guess.headings(out))
+    out = _commanded_or_measured(column_guess.headings(column_guess.stamps(out, found)))
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
     out = _once(column_guess.off_centre(_points(_upright(out, found))), found)

@@ -15,6 +15,7 @@ TIME |= set("zeit stempel datum temps horodatage heure tiempo hora tempo ora tij
 TIME |= set("время 时间 时间戳 時刻 時間 タイムスタンプ 시간".split())
 TIME_PARTS = ("zeit", "time", "stamp", "stempel", "tijd")  # of a compound that begins or ends with it: kamerazeit, frametime
 NO_STAMP = set("rx arrival received delay delta dt duration since exposure shutter timeout latency cycle lifetime loop".split())
+ORIGIN = set("boot bootup start startup power on up reset epoch begin beginning launch init unix the system program".split())
 COMMAND = set("action cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
 COMMAND |= set("soll stell vorgabe consigne comando mandado".split())
 MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real".split())
@@ -60,6 +61,7 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
     **{"accx": "acc x", "accy": "acc y", "accz": "acc z", "gyrox": "gyro x", "gyroy": "gyro y", "gyroz": "gyro z"},
     **{"ψ": "psi", "θ": "theta"},
 }
+STAMPED = ("s", "ms", "us", "ns")  # units of stamps
 NO_SUFFIX = {"g", "min", "h", "in"}  # units that a name may end with and mean another thing
 AXES = {"x", "y", "z"}
 TRANSLATION = {"tx": "x", "ty": "y", "tz": "z"}  # of the trajectories of TUM, as evo writes them
@@ -96,20 +98,43 @@ def parse(raw: str) -> Header:
     unit, other, name = "", "", raw
     found = _BRACKET.match(raw[:200])
     if found and not found[2].strip().isdecimal() and found[2].strip().lower() not in AXES:  # data[0], v_{x}: indices
-        name, unit, other = found[1], unit_of(found[2]), other_unit(found[2])
+        name, unit, other = found[1], unit_of(found[2]) or time_unit(words(found[2])), other_unit(found[2])
     said = words(name) or words(raw)
     rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
-    if not unit and len(said) > 2 and tuple(said[-2:]) in _RATES:
+    if not unit and (early := time_unit(said)):
+        unit, said = early, [word for word in said if measures(unit_of(word)) != "time"]
+    elif not unit and len(said) > 2 and tuple(said[-2:]) in _RATES:
         unit, said = unit_of(" ".join(said[-2:])), said[:-2]
     elif not unit and not other and mark and last and unit_of(last) and words(rest) and last.lower() not in NO_SUFFIX:
         unit, said = unit_of(last), words(rest)  # as it is written: mV is no m V
     elif not unit and not other and len(said) > 1 and unit_of(said[-1]) and said[-1] not in NO_SUFFIX:
         unit, said = unit_of(said[-1]), said[:-1]
-    elif len(said) == 1 and unit_of(said[0]) in ("s", "ms", "us", "ns"):  # a unit alone: a stamp in it
+    elif len(said) == 1 and unit_of(said[0]) in STAMPED:  # a unit alone: a stamp in it
         unit, said = unit_of(said[0]), ["time"]
     numbers = [int(word) for word in said if word.isdecimal() and len(word) < 4]
     plain = tuple(word for word in said if not word.isdecimal())
     return Header(plain, numbers[-1] if numbers else None, unit if unit in UNITS else "", other)
+
+
+def time_unit(said: Sequence[str]) -> str:
+    """Unit among the words of a time's name, wherever it stands: ms_since_boot, t_us_mcu; "" if none or several."""
+    found = [word for word in said if measures(unit_of(word)) == "time"]
+    rest = [word for word in said if word not in found]
+    plain = found and found[0] not in ("s", "second") and unit_of(found[0]) in STAMPED and not TIME.isdisjoint(rest)
+    return unit_of(found[0]) if len(found) == 1 and (plain or since(rest)) else ""
+
+
+def stamp_unit(column: str) -> str:
+    """Unit of stamps that a name of any other words begins or ends with; "" without one, and for a time that is no stamp."""
+    name, said = parse(column), words(column)
+    unit = name.unit if name.unit in STAMPED else unit_of(said[0]) if said and len(said[0]) > 1 else ""
+    return unit if unit in STAMPED and not name.has(NO_STAMP | SERVO | JOINT | PULSE | COMMAND | MEASURED) else ""
+
+
+def since(said: Sequence[str]) -> bool:
+    """Returns True for a time since the start of a run or a clock, as a stamp is; not for one since the last event."""
+    _, mark, what = " ".join(said).partition("since ")
+    return bool(mark) and ORIGIN.issuperset(what.split())
 
 
 def nose_to_tail(names: Sequence[Header]) -> list[int] | None:
@@ -179,9 +204,10 @@ def _force(name: Header, context: set[str]) -> Role | None:
 
 def _time(name: Header, context: set[str]) -> Role | None:
     compound = any(word.startswith(TIME_PARTS) or word.endswith(TIME_PARTS) for word in name.words)
-    if not (compound or name.has(TIME)) or name.has(AXES | SERVO | JOINT) or measures(name.unit) not in ("", "time"):
+    began = since(name.words)
+    if not (compound or began or name.has(TIME)) or name.has(AXES | SERVO | JOINT) or measures(name.unit) not in ("", "time"):
         return None
-    if name.has(NO_STAMP):
+    if name.has(NO_STAMP - {"since"} if began else NO_STAMP):
         return Role(why="a time, but not the stamp of the row")
     return Role(("t",), "a word for time" + (" and its unit" if name.unit else ""))
 
