@@ -99,6 +99,51 @@ def test_a_written_map_is_read_back_and_gives_the_same_trial(tmp_path, bring):
     assert all(np.array_equal(one.tables[t][c], two.tables[t][c]) for t in one.tables for c in one.tables[t])
 
 
+def completed(text, **answers):
+    """A map whose commented blocks are completed as its first lines say; the answers stand for ? in their order in a line."""
+    out = []
+    for line in text.splitlines():
+        if line.startswith(("# [tables.", "# t =", "# columns.", "# file =")):
+            line = line.removeprefix("# ").partition("    ")[0]
+            for key, answer in answers.items():
+                line = line.replace(f'{key} = "?"', f"{key} = {answer}")
+        out.append(line)
+    return "\n".join(out)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said", "answers", "table"),
+    [
+        ({"time": 25.0 * N, "servo1": 4 * WAVE, "servo2": 5 * WAVE}, (), {"unit": '"deg"'}, "cmd"),
+        ({"clk": 0.025 * N, "joint1_deg": 40 * WAVE, "load": N}, ("--set", "load=skip"), {"unit": '"s"'}, "cmd"),
+        ({"ms": 25.0 * N, "x_px": 9 * WAVE, "y_px": WAVE}, (), {"scale": "0.001"}, "markers"),
+    ],
+)
+def test_a_map_of_which_nothing_is_clear_is_written_to_complete(tmp_path, bring, columns, said, answers, table):
+    path = tmp_path / "MAP.toml"
+    lab_files.write(tmp_path / "log.csv", columns)
+    code, out, err = bring(tmp_path / "log.csv", *said, "--write-map", path, out=None)
+    assert code == 0 and "no column is clear, so complete its commented lines" in out, err
+    assert all(name in path.read_text() for name in columns)
+    code, _, err = bring(tmp_path / "log.csv", "--columns", path)
+    assert code == 2 and "MAP.toml: no table; expected at least one block such as [tables.cmd]" in err
+    path.write_text(completed(path.read_text(), **answers))
+    code, _, err = bring(tmp_path / "log.csv", "--columns", path)
+    assert code == 0, err + path.read_text()
+    near(only(tmp_path / "set").tables[table]["t"], 0.025 * N)
+
+
+def test_columns_of_unknown_names_stand_in_the_map_to_complete_and_the_reason_is_said(tmp_path, bring):
+    path = tmp_path / "MAP.toml"
+    lab_files.write(tmp_path / "log.csv", {"t_s": 0.025 * N, "alpha": 20 * WAVE})
+    code, out, _ = bring(tmp_path / "log.csv", "--write-map", path, out=None)
+    assert code == 0 and "no column was recognised (alpha: " in out and "gap find LOGS --model" in out
+    text = completed(path.read_text(), unit='"deg"').replace("tables.?", "tables.cmd").replace("columns.?", "columns.c1")
+    path.write_text(text)
+    assert bring(tmp_path / "log.csv", "--columns", path)[0] == 0
+    near(only(tmp_path / "set").tables["cmd"]["c1"], np.radians(20 * WAVE))
+
+
 def test_a_written_map_names_every_column_of_the_files(tmp_path, bring):
     columns = {"time_ms": 20 * N, "servo1_deg": 20 * WAVE, "gripper": N, "humidity": N, "fx": N, "akku": 7 + 0 * N}
     lab_files.write(tmp_path / "log.csv", columns)

@@ -240,7 +240,7 @@ def _found(args: Namespace) -> ImportResult:
     if found.trials and not foreign and not mapped:
         found.format = SCHEMA
     found.skipped |= cache.skipped
-    if not found.trials and not any(guessed.unclear(gs) for _, gs in found.guesses):
+    if not found.trials and not any(guessed.unclear(gs) or args.out is None for _, gs in found.guesses):
         _nothing(args, found)
     return found
 
@@ -256,8 +256,9 @@ def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace,
         try:
             wanted = guessed.map_of(made, kinds, {}, where)
         except LogError as error:
-            if guessed.unclear(made):
+            if guessed.unclear(made) or args.out is None:
                 found.guesses.append((kinds, made))
+                found.notes += [] if guessed.unclear(made) else [str(error)]
             else:
                 found.skipped |= {str(item.files[0]): str(error) for item in group}
             continue
@@ -384,22 +385,19 @@ def _nothing(args: Namespace, found: ImportResult) -> NoReturn:
 
 # --------------------------------------------------------------------------------------------------------------- writing
 def _write_map(args: Namespace, found: ImportResult) -> None:
-    if not found.maps:
-        raise LogError(
-            f"{args.source[0]}: no column is clear enough for a map; decide some with --set, for example --set "
-            f"{guessed.first_unclear(found.guesses)}"
-        )
-    if len(found.maps) > 1:
-        raise LogError(
-            f"{args.source[0]}: {len(found.maps)} layouts of files, one map cannot describe them; import them one after the other"
-        )
-    write_text(
-        args.write_map,
-        written(found.maps[0]) + "".join(line for kinds, made in found.guesses for line in guessed.remarks(kinds, made)),
-    )
-    console.say(
-        f"map written to {args.write_map}: read it, mend it, and import with --columns {shlex.quote(str(args.write_map))}"
-    )
+    layouts = len(found.maps or found.guesses)
+    if layouts != 1:
+        one = f"{layouts} layouts of files, one map cannot describe them; import them one after the other"
+        raise LogError(f"{args.source[0]}: {one if layouts else 'no files that need a map; leave --write-map out'}")
+    if found.maps:
+        lines = [written(found.maps[0]), *(line for kinds, made in found.guesses for line in guessed.remarks(kinds, made))]
+        todo = "read it, mend it"
+    else:
+        lines = [*guessed.to_complete(*found.guesses[0])]
+        todo = "no column is clear, so complete its commented lines"
+    write_text(args.write_map, "".join(lines))
+    said = [] if found.maps else map(_line, found.notes)
+    console.say(*said, f"map written to {args.write_map}: {todo}, and import with --columns {shlex.quote(str(args.write_map))}")
 
 
 def _write(

@@ -54,6 +54,12 @@ def is_column(spec: TableSpec, column: str) -> bool:
     )
 
 
+HEAD = (
+    "# Which column of the files is which of fishmj.log/1, in what unit (docs/search/logs.md). Read it, mend it, and "
+    "import with it.\n"
+)
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -177,7 +183,13 @@ def _near(name: str, known) -> str:
 
 def read_map(path: Path) -> ColumnMap:
     """Reads and checks a map. Raises LogError: one line with the block, the key, what is expected and the nearest known name."""
-    return of_dict(map_table(path), str(path))
+    raw = map_table(path)
+    if not raw.get("tables"):
+        raise LogError(
+            f"{path}: no table; expected at least one block such as [tables.cmd], with t and columns. In a map that --write-map"
+            " wrote, complete the commented lines and remove the # in front of them"
+        )
+    return of_dict(raw, str(path))
 
 
 def map_table(path: Path) -> dict:
@@ -211,10 +223,6 @@ def of_dict(raw: dict, where: str) -> ColumnMap:
 
 def written(made: ColumnMap) -> str:
     """The map as TOML."""
-    head = (
-        "# Which column of the files is which of fishmj.log/1, in what unit (docs/search/logs.md). Read it, mend it, and "
-        "import with it.\n"
-    )
     plain = made.model_dump(exclude_defaults=True)
     lines = [f"skip = {toml.inline(plain['skip'])}"] if plain.get("skip") else []
     lines += ["", toml.dumps({"meta": plain["meta"]}).rstrip()] if plain.get("meta") else []
@@ -223,4 +231,4 @@ def written(made: ColumnMap) -> str:
         lines += [f"file = {toml.inline(entry['file'])}"] if "file" in entry else []
         lines += [f"offset = {entry['offset']}"] if "offset" in entry else []
         lines += [f"t = {toml.inline(entry['t'])}", *(f"columns.{c} = {toml.inline(v)}" for c, v in entry["columns"].items())]
-    return head + "\n".join(lines) + "\n"
+    return HEAD + "\n".join(lines) + "\n"

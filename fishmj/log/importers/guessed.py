@@ -8,8 +8,9 @@ from pathlib import Path
 
 from fishmj.base import console
 from fishmj.base.errors import LogError
+from fishmj.log import toml
 from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
-from fishmj.log.importers.column_map import ColumnMap, measured, of_dict
+from fishmj.log.importers.column_map import HEAD, ColumnMap, measured, of_dict
 from fishmj.log.importers.column_units import likely
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import bare, kinds_first, typed
@@ -86,6 +87,34 @@ def remarks(found: Sequence[FileKind], guesses: Iterable[Guess]) -> Iterator[str
             yield f"# unclear: {name} may be {choices(g)} ({g.why})\n"
         elif g.state == LEFT and not g.said:
             yield f"# left out: {name} ({g.why})\n"
+
+
+def to_complete(found: Sequence[FileKind], guesses: Sequence[Guess]) -> Iterator[str]:
+    """Lines of a map of which no table is known yet: its blocks are comments, with what is known filled in."""
+    yield f"{HEAD}# No column is clear: complete each ?, and remove the # in front of table, t and columns.\n"
+    if skip := [g.column for g in guesses if g.said and not g.places]:
+        yield f"skip = {toml.inline(skip)}\n"
+    for k, kind in enumerate(found):
+        here = [g for g in guesses if g.kind == k and not (g.said and not g.places)]
+        stamps = [g for g in here if g.place == "t" and g.state != LEFT]
+        blocks: dict[str, list[Guess]] = {}
+        for g in here:
+            if g.state != LEFT and g.table != "t":
+                blocks.setdefault(g.table, []).append(g)
+        for table, mine in (blocks or {"?": [g for g in here if g not in stamps]}).items():
+            yield f"\n# [tables.{table}]    of {bare(kind.sheets[0].name)}\n"
+            yield f"# file = {toml.inline(kind.pattern)}\n" if len(found) > 1 and kind.pattern else ""
+            yield from (_to_complete("t", g) for g in stamps or [Guess(k, "?", why="the column of time")])
+            yield from (_to_complete(f"columns.{g.place.partition('.')[2] or '?'}", g) for g in mine)
+        yield from remarks(found, [g for g in here if g.state == LEFT] if blocks else ())
+
+
+def _to_complete(key: str, g: Guess) -> str:
+    """A column as a commented line of a map."""
+    may = choices(g) if g.state == UNCLEAR else ""
+    several = g.state == LEFT or len(may.split(" or ")) > len(g.places) > 0
+    source = _source(g) | ({"unit": "?"} if several else {}) | ({"scale": "?"} if "*" in may else {})
+    return f"# {key} = {toml.inline(source)}    # {bare(f'{may} ({g.why})' if may else g.why, 300)}\n"
 
 
 def show(found: Guesses) -> None:
