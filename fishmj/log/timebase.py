@@ -26,6 +26,7 @@ from scipy.stats import t as student
 
 from fishmj.base.errors import LogError
 from fishmj.log.clock_alignment import LONGEST, REACH, offset_between, rates
+from fishmj.log.onsets import offset_findings
 from fishmj.log.trial import Table, Trial, gaps, repeats, stacked
 
 WINDOW = 2.0  # s, one bootstrap unit
@@ -148,10 +149,11 @@ def lag_between(
 
 
 def offsets(trial: Trial) -> list[str]:
-    """One sentence for every pair of channels whose motion shows a clock offset."""
-    out = []
+    """One sentence for every pair of channels whose motion, or the onset of it, shows a clock offset."""
+    out, told = [], set()
     for earlier, later, either in _pairs(trial):
         if found := offset_between(earlier, later, either_sign=either):
+            told |= {later[0]}
             names = " and ".join(name for name, table in DELAYS.items() if table in (earlier[0], later[0]))
             late = ", or a delay is that long" if found[0] > 0 else ""
             out.append(
@@ -161,7 +163,7 @@ def offsets(trial: Trial) -> list[str]:
                 f"sensor or command too: add what is known of it to the offset, or keep the stamps and state it as {names} of the"
                 " description"
             )
-    return out
+    return out + offset_findings(trial, told)
 
 
 def _without_pauses(ta: np.ndarray, tb: np.ndarray, keep: float) -> tuple[np.ndarray, np.ndarray]:
