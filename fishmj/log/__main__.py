@@ -91,7 +91,11 @@ def import_recordings(argv: list[str]) -> int:
     from fishmj.mjcf.identity import identity
     from fishmj.mjcf.reading import load_robot
 
-    return import_command.main(argv, lambda source: identity(load_robot(source)))
+    def described(source: str) -> tuple[dict, float]:
+        robot = load_robot(source)
+        return identity(robot), robot.length
+
+    return import_command.main(argv, described)
 
 
 def _plain(path: Path, root: Path) -> bool:

@@ -186,6 +186,41 @@ def wave(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     yield (USE if len(back) == len(lag) else NOTE), text
 
 
+def stride(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str, str]]:
+    """Findings on the way through the water in one beat, over the body's length [m]: the scale of the positions.
+
+    A fish that is pushed, or in an unknown stream, is not judged; nor one that glides.
+    """
+    table, letter = _bends(trial)
+    pose, unknown = trial.tables.get("pose", {}), trial.value("flow.known") is False or trial.value("medium") == "air"
+    if table is None or unknown or len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
+        return
+    q = stacked(table, letter)
+    grid = common_clock(table["t"], pose["t"])
+    if not q.shape[1] or len(grid) < 3.0 / GRID:
+        return
+    bend = np.interp(grid, table["t"], q[:, int(np.argmax(np.std(q, axis=0)))])
+    x = _fast(_mean_over(bend, 5))
+    begin, (vx, vy) = drifts(pose)
+    rows = [slice(*np.searchsorted(grid, (at, at + PACE))) for at in begin]
+    beats = np.array([r.stop - r.start > 0.9 * PACE / GRID and float(np.std(x[r])) > DRIVEN / 2 for r in rows])
+    if beats.sum() < FEWEST:
+        return
+    way = np.concatenate([np.arange(r.start, r.stop) for r, yes in zip(rows, beats, strict=True) if yes])
+    beat = float(np.std(np.gradient(x, GRID)[way]) / np.std(x[way])) / (2 * pi)
+    flow, bearing = _stream(trial)
+    pace = float(np.median(np.hypot(vx - flow * np.cos(bearing), vy - flow * np.sin(bearing))[beats]))
+    lengths = pace / (beat * length)
+    if lengths > bounds.stride:
+        yield (
+            NOTE,
+            f"pose: the fish swims {lengths:.3g} body lengths a beat ({pace:.3g} m/s at {beat:.2g} Hz, {length:.3g} m long;"
+            f" expected 0.1 to 1, at most {bounds.stride:g}): is the scale of x and y wrong (metres of a pixel, mm for cm)? Film"
+            " a rule, and give columns.x and columns.y its unit or scale in the map; where the fish is towed or a current carries"
+            " it, state push or flow",
+        )
+
+
 # ---------------------------------------------------------------------------------------------------------------------- helpers
 def common_clock(*stamps: np.ndarray) -> np.ndarray:
     """Common clock of several tables; empty where they do not overlap."""
@@ -281,8 +316,7 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     begin, moved = drifts(pose)
     if len(begin) < FEWEST:
         return None
-    stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
-    speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
+    speed, bearing = _stream(trial)
     t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
     total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
     vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
@@ -290,6 +324,13 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     pace = np.hypot(vx, vy)
     moving = pace > max(0.03, 0.3 * float(np.quantile(pace, 0.9)))
     return (begin[moving], np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
+
+
+def _stream(trial: Trial) -> tuple[float, float]:
+    """Stated speed [m/s] and direction [rad] of the water; 0 where none is stated."""
+    stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
+    speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)
+    return speed, bearing
 
 
 def drifts(pose: dict) -> tuple[np.ndarray, np.ndarray]:

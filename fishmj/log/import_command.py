@@ -44,7 +44,7 @@ examples:
 TABLE = "table"  # the format of what is read by its columns
 HASHES = ("robot_sha256", "body_sha256")  # of the robot that a log itself names
 NOTES = 20  # of one import that are shown
-Described = Callable[[str], dict]  # TOML or shipped name of a robot -> keys of meta that identify it (mjcf.identity)
+Described = Callable[[str], tuple[dict, float]]  # TOML of a robot -> keys of meta that identify it (mjcf.identity), length [m]
 SOON = 5.0  # s before progress shows
 LONGEST = 1000  # characters of a message
 
@@ -133,7 +133,8 @@ def _run(args: Namespace, described: Described) -> int:
     for source in args.source:
         if args.out is not None and source.is_dir() and args.out.resolve().is_relative_to(source.resolve()):
             raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
-    meta, each = _meta(args, described), gather.excitations(args.excitation)
+    meta, length = _meta(args, described)
+    each = gather.excitations(args.excitation)
     found = _found(args)
     known = [name for name, _ in found.trials]
     if each and (unknown := sorted(set(each) - {"", *known})):
@@ -149,7 +150,7 @@ def _run(args: Namespace, described: Described) -> int:
             return console.OK
     if found.guesses:
         guessed.check_agreed(found.guesses, args.source[0], args.yes)
-    rows, notes, told = _write(args, found, meta, each)
+    rows, notes, told = _write(args, found, meta, each, length)
     for where, message in found.skipped.items():
         console.warn(f"left out: {_line(message if where in message else f'{where}: {message}')}")
     left = f", {len(found.skipped)} left out" if found.skipped else ""
@@ -169,27 +170,29 @@ def _run(args: Namespace, described: Described) -> int:
 
 
 # ------------------------------------------------------------------------------------------------------------- statements
-def _meta(args: Namespace, described: Described) -> dict:
-    """Meta data from the command line: robot, experiment, start pose of the fish, flow, bounds on magnitude."""
+def _meta(args: Namespace, described: Described) -> tuple[dict, float]:
+    """Meta data from the command line (robot, start pose, flow, bounds on magnitude), and the robot's length [m], or 0."""
+    length = 0.0
     meta: dict = {key: value for key in ("medium", "origin", "licence", "start") if (value := getattr(args, key)) is not None}
     if args.robot is not None:
-        meta |= robot_of(args.robot, described)
+        robot, length = robot_of(args.robot, described)
+        meta |= robot
     if args.flow is not None:
         meta["flow"] = dict(zip(("speed", "direction", "known"), (*args.flow, True), strict=True))
     if args.camera_latency is not None:
         meta["latency"] = {"pose": args.camera_latency}
     if args.plausible:
         meta[PLAUSIBLE] = args.plausible
-    return meta
+    return meta, length
 
 
-def robot_of(text: str, described: Described) -> dict:
-    """Meta data that identify a robot: its TOML, a shipped one's file or its own name; of any other name that name alone.
+def robot_of(text: str, described: Described) -> tuple[dict, float]:
+    """Meta data that identify a robot, and its length: its TOML, a shipped one's file or its own name; any other name alone.
 
     Raises ConfigError: no such file, no valid description, or no name that may stand in a path.
     """
     source = text if text.endswith(".toml") else calib.robot_called(text)
-    return described(source) if source else {"robot": names.checked(text, "robot", "--robot")}
+    return described(source) if source else ({"robot": names.checked(text, "robot", "--robot")}, 0.0)
 
 
 def _start(text: str) -> list[float]:
@@ -401,7 +404,7 @@ def _write_map(args: Namespace, found: ImportResult) -> None:
 
 
 def _write(
-    args: Namespace, found: ImportResult, meta: dict, each: dict[str, str]
+    args: Namespace, found: ImportResult, meta: dict, each: dict[str, str], length: float
 ) -> tuple[list[dict], dict[str, list[str]], dict]:
     """Writes the trials that convert, and adds the others to `found.skipped`. Returns rows, notes, the manifest's meta."""
     rows: list[dict] = []
@@ -416,7 +419,7 @@ def _write(
                     said_of = {"excitation": what} if (what := each.get(name, each.get(""))) else {}
                     read = load()
                     read = read if args.marker is None else tracked_point.referred(replace(read, name=name), args.marker)
-                    trial = with_notes(_physical(_with_meta(read, {**meta, **said_of}, name)))
+                    trial = with_notes(_physical(_with_meta(read, {**meta, **said_of}, name), length))
                     checked_meta(args.out / name, trial.meta)
                     rows.append(_row(name, trial))
                 except FishmjError as error:
@@ -460,13 +463,13 @@ def _with_meta(trial: Trial, meta: dict, name: str) -> Trial:
     return replace(trial, meta=whole, name=name, notes=tuple(_line(note) for note in notes))
 
 
-def _physical(trial: Trial) -> Trial:
+def _physical(trial: Trial, length: float) -> Trial:
     """The trial without failed reads, and with notes on implausible motion.
 
     Raises LogError: the trial contradicts itself: a heading, a sign or a unit differs from the map.
     """
     trial, left_out = physical_checks.without_failed_reads(trial)
-    found = physical_checks.examine(trial)
+    found = physical_checks.examine(trial, length=length)
     if wrong := [finding.text for finding in found if finding.level == physical_checks.IMPORT]:
         raise LogError(f"{trial.name}: {'; '.join(wrong)}")
     return replace(trial, notes=tuple(_line(note) for note in (*trial.notes, *left_out, *(f.text for f in found))))

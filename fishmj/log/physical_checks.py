@@ -17,10 +17,12 @@ command) passes.
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body; folded
     handedness      the head recoils against the tail's swing, at its beat; a picture in a mirror shows it swing along
     wave            the body wave of a fish that swims ahead runs to its tail
+    stride          way of a beat over the body's length, where that is known: the scale of the positions
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, pairwise
 from math import pi
 from typing import NamedTuple
@@ -42,6 +44,7 @@ from fishmj.log.course import (
     drifts,
     handedness,
     heading,
+    stride,
     wave,
 )
 from fishmj.log.trial import Trial
@@ -92,19 +95,22 @@ class PhysicalCheck(NamedTuple):
     find: Callable[[Trial, Plausible], Iterator[tuple[str, str]]]
 
 
-def examine(trial: Trial, only: Iterable[str] = ()) -> list[PhysicalFinding]:
+def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list[PhysicalFinding]:
     """Findings of all checks on one trial; [] if it is sound or lacks the needed motion.
 
     Args:
-        only: names of checks; all by default.
+        only: names of checks; all by default. length: of the robot [m]; without it the stride is not judged.
 
     Raises LogError: `[plausible]` of the trial is no table of bounds.
     """
     bounds = bounds_of(trial.meta, trial.name or "trial")
-    wanted = set(only) or {check.name for check in CHECKS}
+    about = "body lengths that a beat carries the fish through the water"
+    scale = PhysicalCheck("stride", about, "stride", partial(stride, length=length))
+    checks = (*CHECKS, scale) if length else CHECKS
+    wanted = set(only) or {check.name for check in checks}
     return [
         PhysicalFinding(check.name, level, f"{text}; if it is right, allow it with {check.bound} in [plausible] of meta.toml")
-        for check in CHECKS
+        for check in checks
         if check.name in wanted
         for level, text in check.find(trial, bounds)
     ]

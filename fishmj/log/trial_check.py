@@ -70,6 +70,7 @@ class Plausible:
     leap: float  # m/s, of a pose that comes back
     alternate: float  # distance between two sources over that within each
     gain: float  # movement of a joint over that of its command
+    stride: float  # body lengths a beat
     overlap: float  # of two tables of one swim, share of the longer
 
     def span(self, name: str) -> tuple[float, float]:

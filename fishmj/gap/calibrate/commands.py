@@ -71,7 +71,7 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     if not trials:
         raise LogError(f"{args.data}: no trial can be compared; {next(iter(broken.values()))}")
     whose = (*of_this_robot(trials.values(), robot, args.model, args.same_robot), *surroundings(trials.values(), robot))
-    breaches, doubts = unphysical(trials.values(), only)
+    breaches, doubts = unphysical(trials.values(), only, robot.length)
     for note in (*logs.notes, *(f"{name} left out: {why}" for name, why in broken.items()), *whose, *doubts):
         console.warn(note)
     if breaches:

@@ -78,7 +78,7 @@ def admitted(
     whose = of_this_robot(given.trials.values(), robot, model, agreed)
     broken = (f"{name} left out: {why}" for name, why in given.broken.items())
     notes = (*given.notes, *broken, *whose, *surroundings(given.trials.values(), robot))
-    breaches, doubts = unphysical(given.trials.values())
+    breaches, doubts = unphysical(given.trials.values(), length=robot.length)
     notes = (*notes, *(breaches if anyway else ()), *doubts)
     for note in notes:
         console.warn(note)
@@ -90,14 +90,14 @@ def admitted(
     return given, notes
 
 
-def unphysical(trials: Iterable[Trial], only: Iterable[str] = ()) -> tuple[list[str], list[str]]:
+def unphysical(trials: Iterable[Trial], only: Iterable[str] = (), length: float = 0.0) -> tuple[list[str], list[str]]:
     """(Breaches of the physical checks, which forbid a comparison with a model; doubts, which do not), a line for each check.
 
-    only: names of checks; all by default.
+    only: names of checks; all by default. length: of the robot, m.
     """
     found: dict[tuple[bool, str], list[tuple[str, str]]] = {}
     for trial in trials:
-        for finding in physical_checks.examine(trial, only):
+        for finding in physical_checks.examine(trial, only, length):
             doubt = finding.level == physical_checks.NOTE
             found.setdefault((doubt, finding.check), []).append((trial.name, finding.text))
     lines: tuple[list[str], list[str]] = ([], [])
