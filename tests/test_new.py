@@ -317,6 +317,15 @@ def test_a_data_sheet_gives_the_servo_by_options_and_by_file(tmp_path, capsys):
     assert "got '5.2', expected 0.005 to 300 N m, with its unit (units: nm," in refused(capsys, "tench", *rest, *bare)
 
 
+def test_the_torque_at_the_joint_is_told_from_the_drive_and_from_the_stall_torque(capsys):
+    assert new("pike", *(a for a in FIVE if not a.startswith("--servo")), "--servo=xw540-t260", "--json") == console.OK
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (told["stall_torque"], told["voltage"]) == (9.5, 12.0)
+    assert 0 < told["torque"] < 0.2 * told["drive"], "a slow servo's drive is mostly back-EMF, which the joint does not hold"
+    row = next(c for c in told["checks"] if c["what"] == "joint torque as it swims")
+    assert re.fullmatch(r"0\.\d+ N m, drive \d+ % of 9\.5 N m stall at 12 V", row["found"]), row
+
+
 # a fish of five links elsewhere
 
 

@@ -157,6 +157,7 @@ def found_of(robot) -> tuple[dict[str, Any], bool]:
     rows = [{"check": c.what, "found": c.found, "expected": c.expected, "": c.verdict} for c in found]
     console.say("", console.table(rows), "", *(f"{c.what}: {c.advice}" for c in found if c.advice))
     facts = {"name": robot.name, "speed": swim.speed, "lengths_per_second": swim.speed / robot.length, "torque": swim.torque}
+    facts |= {"drive": swim.drive, "stall_torque": robot.servo.torque, "voltage": robot.servo.voltage}
     facts |= {"mass": round(robot.mass, 9), "checks": [c._asdict() for c in found]}
     return facts, any(c.verdict == "wrong" for c in found)
 

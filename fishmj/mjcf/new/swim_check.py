@@ -15,11 +15,11 @@ BEND, LARGEST = np.radians(90.0), np.radians(30.0)  # of all joints together; of
 WAVE, LAG = np.radians(120.0), np.radians(60.0)  # from the first joint to the last; between neighbours at most
 GOOD, WRONG = (0.8, 1.25), (0.5, 2.0)  # factor on the widths
 FAST, FASTEST = 0.7, 1.0  # peak rate of the beat over the no-load speed
-STRONG = 0.7  # peak torque over the stall torque
+STRONG = 0.7  # peak drive over the stall torque
 SLOW = 0.05  # body lengths a second, below which it does not swim
 SIZES = "the mass, a height or a width is off: the hull as measured does not displace what the fish weighs"
 SPEED = "beat slower or smaller, or take a faster servo"
-TORQUE = "beat slower or smaller, or take a stronger servo; at the stall torque the joints lag behind"
+TORQUE = "beat slower or smaller, or take a stronger servo; at a drive of the stall torque the joints lag behind"
 STRONGER = "a servo far too strong for so light a fish shakes it to pieces at 4 ms a step; check both"
 OK, LOOK, FALSE = "ok", "look", "wrong"
 
@@ -40,7 +40,8 @@ class StillWaterSwim(NamedTuple):
     frequency: float  # Hz
     amplitude: float  # rad, of every joint
     speed: float  # m/s ahead, over the last two beats
-    torque: float  # greatest drive torque of any joint, N m
+    drive: float  # greatest of any joint, N m: up to the stall torque, and what the motor's back-EMF takes is part of it
+    torque: float  # greatest at any joint, N m: the drive without the back-EMF
     finite: bool
 
 
@@ -52,9 +53,9 @@ def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
     trim = -float(np.sum(g.displaced * (g.origin + g.buoyancy)) / robot.mass)
     depth = float(-np.sum(g.mass * g.com[:, 2]) / robot.mass)
     rate = 2 * np.pi * swim.frequency * swim.amplitude / servo.speed_no_load
-    load, pace = swim.torque / servo.torque, swim.speed / length
+    load, pace = swim.drive / servo.torque, swim.speed / length
     beat = f"servo speed, {swim.frequency:g} Hz and {np.degrees(swim.amplitude):.3g} deg"
-    torque = f"{swim.torque:.3g} N m, {100 * load:.0f} % of stall"
+    torque = f"{swim.torque:.3g} N m, drive {100 * load:.0f} % of {servo.torque:.4g} N m stall at {servo.voltage:g} V"
     weight = f"{robot.mass:.4g} kg, the mass"
     share, tilt = _graded(gap / robot.mass, (0, 1e-3)), _graded(abs(trim) / length, (0, 0.01))
     return [
@@ -64,7 +65,7 @@ def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
         _line("trim: mass ahead of buoyancy", f"{round(1000 * trim, 1) + 0.0:.1f} mm", "within 1 % of length", tilt),
         _line("mass below buoyancy", f"{1000 * depth:.3g} mm", "above 0", OK if depth > 0 else FALSE, "add ballast low"),
         _line(beat, f"{100 * rate:.0f} % of no-load", "below 70 %", _graded(rate, (0, FAST), (0, FASTEST)), SPEED),
-        _line("joint torque as it swims", torque, "below 70 %", _graded(load, (0, STRONG)), TORQUE),
+        _line("joint torque as it swims", torque, "drive below 70 %", _graded(load, (0, STRONG)), TORQUE),
         _line("stays finite", "yes" if swim.finite else "no", "yes", OK if swim.finite else FALSE, STRONGER),
         _line(
             "swims ahead", f"{swim.speed:.3g} m/s, {pace:.2f} lengths/s", f"above {SLOW:g} lengths/s",
@@ -84,20 +85,22 @@ def swim_of(sim) -> StillWaterSwim:
     joints = np.arange(robot.n_joints)
     amplitude = float(min(LARGEST, BEND / robot.n_joints, robot.servo.range))
     lag = min(LAG, WAVE / max(robot.n_joints - 1, 1))
-    track, torque = [], 0.0
+    track, drive, torque = [], 0.0, 0.0
     ticks = round(SECONDS / robot.timing.bus_dt)
     try:
         for i in range(ticks):
             t = i * robot.timing.bus_dt
             sim.step(min(t, 1.0) * amplitude * np.sin(2 * np.pi * BEAT * t - lag * joints))
             track.append(sim.pose[:3])
-            torque = max(torque, float(np.abs(sim.data.actuator_force).max()))
+            force = sim.data.actuator_force
+            drive = max(drive, float(np.abs(force).max()))
+            torque = max(torque, float(np.abs(force - sim.swimmer.kb * sim.data.qvel[-sim.model.nu :]).max()))
     except SimDiverged:
-        return StillWaterSwim(BEAT, amplitude, float("nan"), torque, False)
+        return StillWaterSwim(BEAT, amplitude, float("nan"), drive, torque, False)
     start, end = track[-1 - round(SETTLED / robot.timing.bus_dt)], track[-1]
     heading = float(np.mean([pose[2] for pose in track[-round(SETTLED / robot.timing.bus_dt) :]]))
     ahead = float((end[:2] - start[:2]) @ [np.cos(heading), np.sin(heading)]) / SETTLED
-    return StillWaterSwim(BEAT, amplitude, ahead, torque, bool(np.isfinite(track).all()))
+    return StillWaterSwim(BEAT, amplitude, ahead, drive, torque, bool(np.isfinite(track).all()))
 
 
 def _graded(value: float, good: tuple[float, float], possible: tuple[float, float] = (-np.inf, np.inf)) -> str:
