@@ -200,14 +200,19 @@ def test_a_log_of_a_robot_with_another_timing_is_of_the_same_description(trial, 
     assert unlike(swum, stiffer).endswith(": the same body, but other masses, servo, timing or effects")
 
 
-def test_a_log_that_fishmj_wrote_is_replayed_without_a_remark(trial, tmp_path, capsys):
-    tables = {**trial.tables, "cmd": {**trial.tables["cmd"], "asked1": trial.tables["cmd"]["c1"]}}
+def test_a_log_that_fishmj_wrote_is_replayed_and_checked_without_a_remark_on_its_own_columns(trial, tmp_path, capsys):
+    cmd = trial.tables["cmd"]
+    tables = {**trial.tables, "cmd": {**cmd, "asked1": cmd["c1"], "state": 0 * cmd["t"], "salt": cmd["t"]}}
+    events = ["0.100 s ARMED -> SWIMMING: ASK_SWIM", "4.483 s SWIMMING -> NEUTRAL: POSE_LOST; also POSE_OLD"]
     meta = {key: value for key, value in trial.meta.items() if key not in ("source", "replicate_of", "sigma")}
-    for source, said in (("fishmj deploy swim", False), ("a camera", True)):
-        log.write_trial(tmp_path / source, log.Trial({**meta, "source": source}, tables))
+    for source, missing in (("fishmj deploy swim", False), ("a camera", True)):
+        log.write_trial(tmp_path / source, log.Trial({**meta, "source": source, "host": {"events": events}}, tables))
         assert main([str(tmp_path / source), "--png", str(tmp_path / "a.png")]) == 0
-        err = capsys.readouterr().err
-        assert ("'asked1' is not in the schema" in err, "meta.toml: missing " in err) == (said, said), err
+        log_command.main(["check", str(tmp_path / source)])
+        said = capsys.readouterr()
+        for text in (said.err, said.out):
+            assert "cmd: 'salt' is not in the schema" in text and ("meta.toml: missing " in text) == missing, text
+        assert "\n  ended by POSE_LOST; also POSE_OLD at 4.483 s\n" in said.out
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from fishmj.log.dataset import mend, read_dataset
 from fishmj.log.importers import gather
 from fishmj.log.limits import bare
 from fishmj.log.timebase import audit
+from fishmj.log.trial import Trial
 from fishmj.log.trial_folder import META_FILE, OF_ARM, faults, read_trial
 
 
@@ -41,7 +42,7 @@ def check(argv: list[str]) -> int:
             continue
         breaches = physical_checks.examine(trial)
         notes = [f"  ! {f.text}" for f in breaches if f.level == physical_checks.NOTE]
-        console.say(audits[-1].text(), *notes, *(f"  note: {note}" for note in trial.notes), "")
+        console.say(audits[-1].text(), *ending(trial), *notes, *(f"  note: {note}" for note in trial.notes), "")
         if wrong := [f.text for f in breaches if f.level != physical_checks.NOTE]:
             impossible[name] = wrong
             for text in wrong:
@@ -57,6 +58,16 @@ def check(argv: list[str]) -> int:
         result = {"trials": [one.as_dict() for one in audits], "refused": broken, "changed": changed, "not_physical": impossible}
         console.emit_json(result)
     return console.FAILED_CHECK if broken or changed or impossible else console.OK
+
+
+def ending(trial: Trial) -> list[str]:
+    """How a swim of the tank host ended, in one line, by the events in its meta data; [] of another log."""
+    events = trial.value("host.events")
+    for event in map(str, reversed(events if isinstance(events, list) else [])):
+        before, arrow, why = event.partition(" -> NEUTRAL: ")
+        if arrow or event.startswith("ended: "):
+            return [f"  ended by {bare(why, 120)} at {bare(before.rpartition(' ')[0])}" if arrow else f"  {bare(event, 120)}"]
+    return []
 
 
 def manifest(argv: list[str]) -> int:

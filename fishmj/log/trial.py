@@ -21,12 +21,13 @@ YEAR = 366 * 86_400.0  # s; a longer step is no pause: the clock was set
 
 @dataclass(frozen=True, kw_only=True)
 class TableSpec:
-    """Columns of one table. `kinds` maps a template to the check of its values."""
+    """Columns of one table. `kinds` maps a template to the check of its values; `host`: further columns of fishmj's tank host."""
 
     about: str
     fixed: tuple[str, ...]
     numbered: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
+    host: tuple[str, ...] = ()
     kinds: dict[str, str]
     continuous: bool = False  # sampled without pauses: a gap splits the trial
 
@@ -46,6 +47,7 @@ TABLES = {
         fixed=("t",),
         numbered=("c#",),
         optional=("seq", "t_rx", "on#"),  # on: 1 while the servo's torque is on
+        host=("asked#", "state"),
         kinds={"c#": "angle"},
         continuous=True,
     ),
@@ -54,6 +56,7 @@ TABLES = {
         fixed=("t",),
         numbered=("j#",),
         optional=("w#", "load#", "temp#"),
+        host=("seq", "echo", "t_robot", "t_rx"),
         kinds={"j#": "angle", "w#": "rate"},
         continuous=True,
     ),
@@ -61,11 +64,16 @@ TABLES = {
         about="measured pose of the reference point, tank frame, m and rad",
         fixed=("t", "x", "y", "yaw"),
         optional=("quality",),
+        host=("t_taken", "t_rx"),
         kinds=_POSE,
         continuous=True,
     ),
     "power": TableSpec(
-        about="electrical supply, V and A; a bus that tells no current leaves I out", fixed=("t", "V"), optional=("I",), kinds={}
+        about="electrical supply, V and A; a bus that tells no current leaves I out",
+        fixed=("t", "V"),
+        optional=("I",),
+        host=("t_rx", "t_robot"),
+        kinds={},
     ),
     "gait": TableSpec(
         about="parameters of a tail beat that the robot makes by itself, rad and Hz; hold until the next row",
@@ -125,7 +133,8 @@ TABLES = {
 
 BY_KIND = {"angle": "rad", "heading": "rad", "rate": "rad/s", "position": "m", "speed": "m/s"}
 BY_NAME = {
-    **{"t": "s", "t_rx": "s", "V": "V", "I": "A", "frequency": "Hz", "ax": "m/s^2", "ay": "m/s^2", "az": "m/s^2"},
+    **{"t": "s", "t_rx": "s", "t_robot": "s", "t_taken": "s", "asked#": "rad", "V": "V", "I": "A", "frequency": "Hz"},
+    **{"ax": "m/s^2", "ay": "m/s^2", "az": "m/s^2"},
     **{"temp#": "deg C", "f#x": "N", "f#y": "N", "m#": "N m", "r#x": "N", "r#y": "N", "n#": "N m", "a#": "1"},
 }
 META = (  # dotted keys that a complete meta.toml has; sigma and clock are tables with one entry a channel or table

@@ -202,12 +202,12 @@ def check_columns(name: str, spec: TableSpec, columns: list[str], place: Place) 
             f"{place(-1, columns[-1] if columns else '')}: table {name!r} lacks column {', '.join(map(repr, missing))}; "
             f"it has {listed(columns) or 'none'}; expected {spec.describe()}. Add the column or rename the one that means it"
         )
-    known = {*spec.fixed, *spec.numbered, *spec.optional}
+    known = {*spec.fixed, *spec.numbered, *spec.optional, *spec.host}
     return [column for column in columns if re.sub(r"\d+", "#", column) not in known and column not in known]
 
 
 def check_meta(meta: dict, where: str) -> list[str]:
-    """Raises `LogError` for an impossible value; returns a note that lists the missing keys."""
+    """Raises `LogError` for an impossible value; returns a note on missing keys of a log that fishmj did not write."""
     schema = meta.get("schema", SCHEMA)
     if schema != SCHEMA:
         raise LogError(f"{where}: schema = {schema!r}; expected {SCHEMA!r}. Convert the trial or use the fishmj that wrote it")
@@ -219,7 +219,8 @@ def check_meta(meta: dict, where: str) -> list[str]:
         raise LogError(f"{where}: flow.speed = {speed} m/s is negative; turn flow.direction by pi instead")
     if abs(direction) > TURN[1]:
         raise LogError(f"{where}: flow.direction = {direction} looks like degrees; the schema says rad. Multiply it by pi/180")
-    missing = [key for key in META if look_up(meta, key) is None]
+    own = str(meta.get("source") or "").startswith("fishmj")  # states all that it knows
+    missing = [key for key in META if not own and look_up(meta, key) is None]
     return [f"{where}: missing {', '.join(missing)}"] if missing else []
 
 

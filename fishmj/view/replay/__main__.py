@@ -73,16 +73,10 @@ def drawn_as(trial: Trial, robot: str | None) -> str:
     return unlike(trial, drawn) if old or robot is not None else ""
 
 
-def worth_saying(trial: Trial) -> list[str]:
-    """Notes of the reader; of a log that fishmj wrote, without those on its own additional columns and absent meta data."""
-    own = str(trial.value("source") or "").startswith("fishmj")
-    return [note for note in trial.notes if not (own and (note.endswith("not in the schema; kept") or ": missing " in note))]
-
-
 def report(trials: list[Trial], written: list[Path], *, as_json: bool) -> None:
     """Prints what was read and written."""
     for trial in trials:
-        for note in worth_saying(trial):
+        for note in trial.notes:
             console.warn(f"{trial.name}: {note}")
     sizes = [(str(path), path.stat().st_size) for path in written]
     if as_json:
