@@ -35,7 +35,7 @@ from fishmj.evaluate.experiments import (
 from fishmj.evaluate.experiments import __main__ as command
 from fishmj.evaluate.experiments.experiment_figures import compared, counted, read, rounded, series_row
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of
-from fishmj.evaluate.experiments.paper_experiment import ExperimentSetup
+from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentSetup
 from fishmj.evaluate.run_trials import fingerprint, judge_in_solver
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf.identity import structure_of
@@ -79,8 +79,11 @@ def test_experiment_runs_on_brief_trials_and_reports(name, tmp_path, monkeypatch
     rows = {part.key: json.loads(json.dumps(part.run(lambda seconds: None), allow_nan=False)) for part in parts}
     found = one.findings(setup, rows)
     assert found.compared and found.pictures and all(picture.startswith(b"\x89PNG") for picture, _ in found.pictures)
-    page = experiments_report.page([experiments_report.FinishedExperiment(one, found, 1.0)], "station", ["here"])
-    assert "the paper reports" in page and "Needs the real robot: " in page
+    finished = experiments_report.FinishedExperiment(one, found, 1.0)
+    alone, page = (experiments_report.page([finished] * n, "station", ["here"]) for n in (1, 2))
+    assert alone.count("<th>the paper reports</th>") == 1, "one experiment has one table"
+    assert page.count("<th>the paper reports</th>") == 3 and "Needs the real robot: " in page
+    assert re.search(r"Figure of the paper: (\d+[^_]*|none[^_]*)\.", alone) and PAPER in alone
     used = set(re.findall(r'class="(left[2-9])', page))
     assert "left4" in used and all(f".{name} td" in page for name in used), "columns of words stand to the left"
 

@@ -13,7 +13,7 @@ from fishmj.control.policy import BEST
 from fishmj.evaluate.experiments import MODULES, experiment_of
 from fishmj.evaluate.experiments import experiments_report as report
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of, options_of
-from fishmj.evaluate.experiments.paper_experiment import ExperimentPart, ExperimentSetup, PaperExperiment
+from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentPart, ExperimentSetup, PaperExperiment
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, reference_option
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
@@ -35,7 +35,7 @@ water, seed or size needs another one. Default --out {OUT}, with --quick {OUT}-q
 
 def options() -> console.Parser:
     """Parser of the verb `experiments`."""
-    parser = console.parser("experiments", __doc__ or "", examples=EXAMPLES)
+    parser = console.parser("experiments", f"{__doc__} The paper: {PAPER}.", examples=EXAMPLES)
     add = parser.add_argument
     names = f"{', '.join(MODULES)}, or {ALL}; none: the list"
     add("names", type=console.OneOf((*MODULES, ALL)), nargs="*", action=console.Distinct, metavar="NAME", help=names)
@@ -87,14 +87,14 @@ def main(argv: list[str]) -> int:
     with interrupt.keeping(lambda: f"{args.out} holds {sum(len(k.rows) for k in kept.values())} parts; {interrupt.again()}"):
         run_parts(setup, parts, kept)
         finished = [done for name in MODULES if (done := finish(setup, experiment_of(name), kept[name], name in names))]
-        found = {"policy": setup.leader, "condition": notes, "experiments": report.as_json(finished)}
+        found = {"paper": PAPER, "policy": setup.leader, "condition": notes, "experiments": report.as_json(finished)}
         store.write_json(args.out / "experiments.json", console.plain(found))
         store.write_text(args.out / "report.html", report.page(finished, setup.leader, notes))
     for one in finished:
         if one.experiment.name in names:
             console.say("", f"{one.experiment.name}: {one.experiment.about}", console.table(report.rows_of(one)))
     cpu = sum(one.cpu for one in finished if one.experiment.name in names)
-    console.say("", f"{cpu:.0f} s of CPU; wrote {args.out / 'report.html'}")
+    console.say("", f"the paper: {PAPER}", f"{cpu:.0f} s of CPU; wrote {args.out / 'report.html'}")
     if args.json:
         console.emit_json(found)
     return console.OK

@@ -56,7 +56,7 @@ def picture(rows: dict[str, Row]) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     "approach",
-    "sim2real_downstream, sim2real_upstream",
+    "9 and 10, simulated and real approaches",
     "approach from downstream and upstream at 0.2 m/s: x, y and heading over time",
     "the same curves of the real robot, and its snapshots",
     parts,

@@ -325,7 +325,7 @@ def attitudes(rows: dict[str, Row]) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     "comparison",
-    "comparison_sota, comparison_qualitative, comparison_quantitative",
+    "11 to 13, comparison of controllers",
     "the 72 trials for the policy and every baseline: arrival, RMSE, power, directions, attitude, tests",
     "arrival, RMSE and measured power of every controller in the tank",
     parts,

@@ -4,12 +4,12 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from fishmj.base.pages import Section, figure, part, report, table
-from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, PaperExperiment
+from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentFindings, PaperExperiment
 
 ELSEWHERE = {  # figures of the paper that other commands remake
-    "flow_impact": "fishmj lbm_oracle forcemap --device cuda --fields",
-    "flow": "fishmj lbm_oracle drift --device cuda",
-    "calibration": "fishmj calibrate servo",
+    "2, forces on a bent fish in a stream": "fishmj lbm_oracle forcemap --device cuda --fields",
+    "5, complexity of the tank's flow": "fishmj lbm_oracle drift --device cuda",
+    "7, response of the joints": "fishmj calibrate servo",
 }
 ABOUT = "Value (95 % interval over trials), n trials. Everything measured here is simulated."
 
@@ -32,9 +32,10 @@ def rows_of(finished: FinishedExperiment, named: bool = False) -> list[dict]:
 
 
 def sections(every: Iterable[FinishedExperiment]) -> list[Section]:
-    """Sections of the page: all figures in one table, then each experiment with its pictures."""
+    """Sections of the page: all figures of several experiments in one table, then each experiment with its pictures."""
     every = list(every)
-    made = [Section("The paper and fishmj", ABOUT, [table([row for one in every for row in rows_of(one, True)], left=4)])]
+    together = [table([row for one in every for row in rows_of(one, True)], left=4)] if len(every) > 1 else []
+    made = [Section("The paper and fishmj", "", together)] if together else []
     for one in every:
         parts: list[str] = [
             table(rows_of(one), left=3),
@@ -53,7 +54,9 @@ def page(every: Iterable[FinishedExperiment], policy: str, notes: Iterable[str])
     """The report as one HTML text."""
     every = list(every)
     heading = f"{policy}: {len(every)} of the paper's experiments"
-    return report(f"Experiments of {policy}", heading, sections(every), mark="EXPERIMENTS", notes=tuple(notes))
+    return report(
+        f"Experiments of {policy}", heading, sections(every), mark="EXPERIMENTS", notes=(*notes, f"The paper: {PAPER}. {ABOUT}")
+    )
 
 
 def as_json(every: Iterable[FinishedExperiment]) -> dict:

@@ -93,5 +93,10 @@ def picture(row: Row) -> bytes:
 
 
 EXPERIMENT = PaperExperiment(
-    ANGLE, "aoa", "starts on the target at four angles to the stream, with mirrored pairs", "none of it", parts, findings
+    ANGLE,
+    "15, initial angles of attack",
+    "starts on the target at four angles to the stream, with mirrored pairs",
+    "none of it",
+    parts,
+    findings,
 )

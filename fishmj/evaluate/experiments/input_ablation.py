@@ -182,7 +182,7 @@ def picture(rows: dict[str, Row]) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     "ablations",
-    "ablation",
+    "16, ablations",
     "retrained without friction calibration, self-velocity or joint information",
     "the returns on the robot, where the paper's uncalibrated policy fails",
     parts,

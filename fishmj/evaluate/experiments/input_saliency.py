@@ -160,7 +160,7 @@ def agreement(row: Row) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     "saliency",
-    "saliency",
+    "17, saliency of the inputs",
     "importance of each input over time, by two methods",
     "the same maps of the observations that the tracker gave",
     parts,

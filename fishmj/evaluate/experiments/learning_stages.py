@@ -127,7 +127,7 @@ def tracks(row: Row) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     "stages",
-    "training_process",
+    "8, training process and its stages",
     "a training, its return over control steps, and the policy at three stages",
     "none of it: the paper's figure is simulated too",
     parts,

@@ -15,6 +15,10 @@ from fishmj.evaluate.run_trials import judge_in_solver, run
 from fishmj.lbm_oracle.run.solver_water import SolverWater
 from fishmj.mjcf.description import Robot
 
+PAPER = (
+    "Xiaozhu Lin, Xu Huang, Hongru Dai, Xiaopei Liu, Junzhi Yu, Yang Wang:"
+    " Egocentric Station Holding of Robotic Fish in Unknown Turbulent Background Flow"
+)
 Row = dict[str, Any]  # what one part found, in JSON's own types
 Done = Callable[[float], None]  # takes the simulated seconds that are done
 
@@ -52,7 +56,7 @@ class PaperExperiment(NamedTuple):
     """One experiment.
 
     Attributes:
-        figure: label of the paper's figure. about: one line. robot: what only the real robot can show.
+        figure: number of the paper's figure, and its subject. about: one line. robot: what only the real robot can show.
         parts: pieces, each with a key of its own. findings: figures and pictures, from the rows by key.
     """
 

@@ -97,7 +97,7 @@ def by_arc(rows: dict[str, Row]) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     EIGHT,
-    "comparison_following",
+    "14, a moving target",
     "a moving target on a figure eight: cross-track error beside PNL and ADRC",
     "the same paths in the tank",
     parts,

@@ -103,7 +103,7 @@ def picture(rows: dict[str, Row]) -> bytes:
 
 EXPERIMENT = PaperExperiment(
     "rheotaxis",
-    "comparison_bio",
+    "18, rheotaxis beside that of fishes",
     "rheotactic index from 0 to 0.14 m/s, uniform start headings, two nulls",
     "the same index in the tank; the fishes' data of the paper's figure are Coombs et al. 2020",
     parts,
