@@ -46,8 +46,10 @@ def test_resumed_run_that_is_complete_says_that_nothing_is_trained(tmp_path, cap
     words = ["--preset", "quick", "--envs", "16", "--horizon", "8", "--minibatches", "1", "--hidden", "8", "--steps", "256"]
     assert console.run(main, [*words, "--out", str(tmp_path / "run")]) == console.OK
     assert "nothing is trained" not in capsys.readouterr().err
-    assert console.run(main, ["--resume", "--steps", "100", "--out", str(tmp_path / "run")]) == console.OK
-    assert "has 256 control steps of 100: nothing is trained; more with --steps" in capsys.readouterr().err
+    assert console.run(main, ["--resume", "--steps", "256", "--out", str(tmp_path / "run")]) == console.OK
+    assert "has 256 control steps of 256: nothing is trained; raise --steps" in capsys.readouterr().err
+    assert console.run(main, ["--resume", "--steps", "100", "--out", str(tmp_path / "run")]) == console.BAD_INPUT
+    assert "got --steps 100 and 256 are trained already; expected a larger total" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("other", ["--resume", "--together"])

@@ -84,7 +84,7 @@ def options() -> console.Parser:
     )
     add("--device", type=console.devices, help=place)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
-    steps = f"control steps, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
+    steps = f"control steps of the whole run, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
     add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
     seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
@@ -135,7 +135,7 @@ def options() -> console.Parser:
     out += " (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
     p.add_argument("--yes", action="store_true", help="begin also what takes more than a week, or more memory than there is")
-    resume = "go on with the run in --out, under its own settings: only --steps may differ"
+    resume = "go on with the run in --out, under its own settings: only --steps, all with those trained before, may differ"
     p.add_argument("--resume", action="store_true", help=resume)
     p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
     hyperparameter_options(p)

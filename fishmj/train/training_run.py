@@ -45,14 +45,12 @@ MAX_FAILED = 0.02  # the same in the flow solver, whose water can fail round a f
 PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions every run states
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
-
 FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints called them before, the longer first
     ".agent.target_critics": ".targets", ".agent.opt_states": ".optimisers", ".agent": "",
     ".replay.data.next_obs": ".memory.ahead", ".replay.data.terminated": ".memory.ended", ".replay.data": ".memory",
     ".replay": ".memory",
     ".opt_state": ".optimiser", ".env_state": ".env", ".env_steps": ".updates", ".iteration": ".updates",
 }  # fmt: skip
-
 ADDED = ".tally"  # leaves that checkpoints of earlier versions lack; they begin anew
 
 
@@ -271,7 +269,7 @@ class TrainingRun:
         start, saved = time.monotonic() - self.seconds, time.monotonic()
         self.bar.restart()  # what it says at the end is the summary's time
         if self.done >= s.steps:
-            console.warn(f"{self.folder} has {self.done:,} control steps of {s.steps:,}: nothing is trained; more with --steps")
+            console.warn(f"{self.folder} has {self.done:,} control steps of {s.steps:,}: nothing is trained; raise --steps")
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
@@ -415,6 +413,9 @@ class TrainingRun:
         # counts of the run, not of the learner: without them a resumed run would assess and stop at other steps
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
+        if (steps := self.settings.steps) <= self.done and steps != found.meta["settings"]["steps"]:
+            got = f"got --steps {steps:,} and {self.done:,} are trained already; expected a larger total"
+            raise ConfigError(f"{self.folder}: {got}; for {steps:,} more give --steps {self.done + steps}")
         self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
         if self.settings.engine == LBM:
             fresh = self.algorithm.init(jax.random.fold_in(jax.random.key(self.settings.seed), self.done))
