@@ -15,7 +15,7 @@ from fishmj.gap.report.report_data import ReportRow, after, gap_of, listed
 from fishmj.gap.search.fit import Candidate
 from fishmj.gap.search.stepwise import CrossValidatedFit, SelectionStep
 from fishmj.gap.thresholds import frozen
-from fishmj.gap.verdict import NamedEffect, Value, Verdict, missed_text, round_text
+from fishmj.gap.verdict import MOST, NamedEffect, Value, Verdict, missed_text, round_text
 from fishmj.gap.wording import level, number, percent, quantity, title
 
 CURRENT = NamedEffect(
@@ -75,15 +75,28 @@ def test_round_is_called_accepted_only_if_the_held_out_residual_shrinks():
 
 def test_sizes_that_could_have_been_missed_are_told_by_kind():
     one = {"null": 0.0, "unit": "N m s/rad"}
-    missed = {"viscous_friction@hip": one | {"value": 0.03}, "viscous_friction@knee": one | {"value": 0.002}}
-    missed |= {"servo_gain@a": {"value": 1.2, "null": 1.0, "unit": "1"}, "dead_time": {"value": None, "null": 0.0, "unit": "s"}}
-    head, *rows, never = missed_text(missed)
+    missed = {"viscous_friction@knee": one | {"value": 0.002, "of_typical": 0.1}}
+    missed |= {"viscous_friction@hip": one | {"value": 0.03, "of_typical": 2.0}}
+    missed |= {"servo_gain@a": {"value": 1.2, "null": 1.0, "unit": "1", "of_typical": 1.0}}
+    missed |= {"dead_time": {"value": None, "null": 0.0, "unit": "s", "of_typical": None}}
+    never, head, *rows = missed_text(missed)
     assert head.endswith("would not have shown it up to about") and never.endswith("at any size that was tried: dead time")
     assert rows == [
         "    viscous friction: 0.03 N m s/rad at hip, 0.002 N m s/rad at knee",
         "    servo gain: 1 + 0.2 at a",
     ]
     assert missed_text({}) == []
+
+
+def test_a_terminal_lists_the_least_detectable_sizes_and_the_page_all_of_them():
+    one = {"null": 0.0, "unit": "N m"}
+    missed = {f"torque_offset@joint_{k}": one | {"value": 0.01 * k, "of_typical": 0.1 * k} for k in range(1, 51)}
+    head, row, more = missed_text(missed)
+    assert row.startswith("    torque offset: 0.5 N m at joint 50, 0.49 N m at joint 49,") and row.count(" at ") == MOST
+    assert more == "    ... and 40 more in report.html"
+    page = sections.invisible(material(verdict(1.0, 1.0, answer="AGREES", effects=(), rivals=(), missed=missed)))
+    assert page.parts and str(page.parts[1]).count(" at joint") == 50 and "would not have shown it" in page.parts[0]
+    assert list(verdict(1.0, 1.0, missed=missed).plain()["missed"]) == list(missed)
 
 
 @pytest.mark.parametrize(("gap", "accepted"), [((7.0, 1.0), True), ((7.0, 9.0), False), ((7.0, np.nan), False)])

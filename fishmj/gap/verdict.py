@@ -1,5 +1,6 @@
 """The five answers, and their form on disk."""
 
+import math
 from dataclasses import asdict, dataclass, field
 
 from fishmj.gap.wording import level, number, pair, percent, quantity, sizes, title, untold
@@ -183,26 +184,39 @@ class Verdict:
         return ", ".join(f"{title(n)} {p:.2f}" for n, p in self.standing(e))
 
 
+MOST = 10  # effects that could have been missed, in a terminal; the page and the JSON have all
+UP_TO = "not excluded, each alone: these logs would not have shown it up to about"
 LIKELIHOOD = "the excess log likelihood"
 P_BEST = "P(best): share of redraws of these records that each one wins; a rival that wins none loses by too little to rule out"
 FLOOR = "mean square in units of the floor, 1 = agreement"
 LIKELIER = "makes records that it was not fitted to likelier, its formula's error granted, but their residual does not shrink"
 
 
-def missed_text(missed: dict[str, dict]) -> list[str]:
-    """`Verdict.missed` in words: a line for each kind of effect, and one for those that no size shows; [] without any."""
+def least_detectable(missed: dict[str, dict]) -> list[str]:
+    """Effects of `Verdict.missed`: those that no size shows, then by the size over the typical one, the largest first."""
+    return sorted(missed, key=lambda name: -math.inf if (share := missed[name]["of_typical"]) is None else -share)
+
+
+def missed_words(missed: dict[str, dict]) -> tuple[list[str], list[str]]:
+    """`Verdict.missed` in words, the least detectable first: one text for each kind of effect, and those that no size shows."""
     kinds: dict[str, list[str]] = {}
-    for name, told in missed.items():
-        if told["value"] is not None:
+    for name in least_detectable(missed):
+        if (told := missed[name])["value"] is not None:
             kind, at, site = name.partition("@")
             none, away = told["null"], told["value"] - told["null"]
             size = f"{number(none)} {'-' if away < 0 else '+'} {quantity(abs(away), told['unit'])}" if none else ""
             size = size or quantity(away, told["unit"])
             kinds.setdefault(title(kind), []).append(f"{size}{' at ' * bool(at)}{title(site)}")
-    head = "  not excluded, each alone: these logs would not have shown it up to about" if kinds else ""
-    lines = [head, *(f"    {kind}: {', '.join(sizes)}" for kind, sizes in kinds.items())] if kinds else []
     never = [title(name) for name, told in missed.items() if told["value"] is None]
-    return [*lines, f"  not excluded at any size that was tried: {', '.join(never)}"] if never else lines
+    return [f"{kind}: {', '.join(sizes)}" for kind, sizes in kinds.items()], never
+
+
+def missed_text(missed: dict[str, dict]) -> list[str]:
+    """The `MOST` least detectable effects of `Verdict.missed` for a terminal; [] without any."""
+    sizes, never = missed_words({name: missed[name] for name in least_detectable(missed)[:MOST]})
+    lines = [f"  not excluded at any size that was tried: {', '.join(never)}"] if never else []
+    lines += [f"  {UP_TO}"] * bool(sizes) + [f"    {text}" for text in sizes]
+    return [*lines, f"    ... and {len(missed) - MOST} more in report.html"] if len(missed) > MOST else lines
 
 
 def lowers(pair: "tuple[float, float] | None") -> bool:

@@ -111,12 +111,19 @@ def _regularised(normal: np.ndarray) -> np.ndarray:
     return normal + np.diag(1e-9 * np.diag(normal) + 1e-300) + 1e-12 * np.trace(normal) * np.eye(len(normal))
 
 
-def missed_sizes(search: EffectFitter, row: np.ndarray, gain: float) -> dict[str, dict]:
-    """Largest value at which each effect of one number, alone, gains less than asked: {effect: {value, null, unit}}.
+def gains(search: EffectFitter, row: np.ndarray, places: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """(K,) gains of single parameters if they, each alone, are off a row (P,) by `away`: the change of the whitened residual."""
+    rows = np.tile(row, (len(places), 1))
+    rows[np.arange(len(places)), places] += away
+    return np.sum((search.z(rows) - search.z(row[None])) ** 2, 1)
 
-    The change of the whitened residual from a row (P,) is its gain where it is the truth. It grows as the square of the size,
-    which is corrected at a few values. Of a signed number the side that shows less counts. value: None if none in range shows.
-    Effects that draw or need an exact value are left out, and those that do not settle.
+
+def missed_sizes(search: EffectFitter, row: np.ndarray, gain: float) -> dict[str, dict]:
+    """Largest value at which each effect of one number, alone, gains less than asked: {effect: {value, null, unit, of_typical}}.
+
+    A gain (`gains`) grows as the square of the size, which is corrected at a few values. Of a signed number the side that shows
+    less counts. value: None if none in range shows. of_typical: the size over the largest typical one. Effects that draw or need
+    an exact value are left out, and those that do not settle.
     """
     model, low_high, limits = search.model, bounds(search.model)[:2], thresholds().intervals
     drawn = {x.name for x in draws(model)}
@@ -130,19 +137,18 @@ def missed_sizes(search: EffectFitter, row: np.ndarray, gain: float) -> dict[str
         return {}
     places, away = np.array([place for _, _, place, _ in tried]), np.array([size for *_, size in tried])
     most = np.where(away > 0, low_high[1][places], low_high[0][places]) - row[places]
-    away, start = np.where(np.abs(away) < np.abs(most), away, most), search.z(row[None])
+    away = np.where(np.abs(away) < np.abs(most), away, most)
     for k in range(limits.missed_tries):
-        rows = np.tile(row, (len(tried), 1))
-        rows[np.arange(len(tried)), places] += away
-        change = np.sum((search.z(rows) - start) ** 2, 1)
+        change = gains(search, row, places, away)
         if k < limits.missed_tries - 1:
             ratio = np.clip(np.sqrt(gain / np.maximum(change, 1e-9)), 0.01, 100.0)
             away = np.where(np.abs(away * ratio) < np.abs(most), away * ratio, most)
     found: dict[str, dict] = {}
-    for (name, p, place, _), size, whole, gained in zip(tried, away, most, change, strict=True):
+    for (name, p, place, typical), size, whole, gained in zip(tried, away, most, change, strict=True):
         never = size == whole and gained < gain
         if never or gain / limits.missed_near < gained < gain * limits.missed_near:
             told = {"value": None if never else float(row[place] + size), "null": p.null, "unit": p.unit}
+            told |= {"of_typical": None if never else float(size / typical)}
             seen = found.get(name, told)
             larger = seen["value"] is not None and (never or abs(size) > abs(seen["value"] - p.null))
             found[name] = told if larger else seen

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from fishmj.base import console
+from fishmj.gap.decide.intervals import gains
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves
 from fishmj.gap.records import mass_properties
@@ -134,27 +135,20 @@ def values(model, c: Candidate, name: str) -> dict:
 def blind(inquiry: Inquiry, gates: Gates) -> tuple[UndetectableEffect, ...]:
     """Effects whose typical size changes these records less than a name needs; the nearest to detection first."""
     e = inquiry.evidence
-    whole = e.subset()
-    rows, owners = [], []
-    for effect in e.model.active.effects:
-        if effect.name in inquiry.found.best.names:
-            continue
-        for p in effect.parameters:
-            for size in (p.typical[1],) if not p.signed else (p.typical[1], 2 * p.null - p.typical[1]):
-                if not p.shape:
-                    row = np.array(inquiry.found.base.row)
-                    row[e.model.index(effect.name, p.name)] = np.clip(size, p.low, p.high)
-                    rows.append(row)
-                    owners.append(effect)
-    if not rows:
+    row, tried = inquiry.found.base.row, []  # (effect, place of one of its numbers, its typical value)
+    for x in (x for x in e.model.active.effects if x.name not in inquiry.found.best.names):
+        for p in (p for p in x.parameters if not p.shape):
+            sizes = (p.typical[1], 2 * p.null - p.typical[1])[: 1 + p.signed]
+            tried += [(x, e.model.index(x.name, p.name), np.clip(size, p.low, p.high)) for size in sizes]
+    if not tried:
         return ()
-    change = np.sum((whole.z(np.array(rows)) - whole.z(inquiry.found.base.row)) ** 2, 1)
-    out = []
-    for effect in dict.fromkeys(o.name for o in owners):
-        ratio = max(float(x) for x, o in zip(change, owners, strict=True) if o.name == effect) / gates.gain
-        if ratio < 1.0:
-            p = next(o for o in owners if o.name == effect).parameters[0]
-            out.append(UndetectableEffect(effect, f"{title(p.name)} {quantity(p.typical[1], p.unit)}", ratio))
+    places, typical = np.array([place for _, place, _ in tried]), np.array([size for *_, size in tried])
+    most: dict[str, float] = {}
+    for (x, *_), gain in zip(tried, gains(e.subset(), row, places, typical - row[places]), strict=True):
+        most[x.name] = max(most.get(x.name, 0.0), float(gain) / gates.gain)
+    first = {x.name: x.parameters[0] for x, *_ in tried}
+    said = {name: f"{title(p.name)} {quantity(p.typical[1], p.unit)}" for name, p in first.items()}
+    out = [UndetectableEffect(name, said[name], ratio) for name, ratio in most.items() if ratio < 1.0]
     return tuple(sorted(out, key=lambda b: -b.ratio))
 
 

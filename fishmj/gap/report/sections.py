@@ -18,7 +18,7 @@ from fishmj.gap.report.report_data import ReportData, RoundFinalists, gap_of, re
 from fishmj.gap.search.model_error import misformed
 from fishmj.gap.terms.stronger import is_outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
-from fishmj.gap.verdict import LIKELIHOOD, Verdict
+from fishmj.gap.verdict import LIKELIHOOD, UP_TO, Verdict, missed_words
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
 
 NOTHING = Section("", "", ())
@@ -205,13 +205,17 @@ def checks(m: ReportData, about: str = SET_ON) -> Section:
 
 
 def invisible(m: ReportData) -> Section:
-    """Section on the effects that these records could not show."""
+    """Section on the effects that these records could not show, and with AGREES on the sizes that they could have missed."""
     items = [pages.escaped(f"{title(b.name)} ") + part("small", b.typical) for b in m.blind]
     about = (
         "At their typical size these would change the records less than a name needs: nothing is said about them. Other"
         " experiments may show them (fishmj gap next)."
     )
-    return Section("What these records cannot show", about, [part("items", items, "columns") if items else ""])
+    shown: list[str] = [about, part("items", items, "columns")] if items else []
+    up_to, never = missed_words(m.inquiry.verdict.missed)
+    shown += [f"{sentence(UP_TO)[:-1]}, the least detectable first:", part("items", up_to)] if up_to else []
+    shown += [f"Not excluded at any size that was tried: {', '.join(never)}."] if never else []
+    return Section("What these records cannot show", "", shown)
 
 
 def records(m: ReportData) -> Section:
