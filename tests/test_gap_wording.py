@@ -10,6 +10,7 @@ import pytest
 from fishmj import effects
 from fishmj.gap.commands.apply import verdict_on
 from fishmj.gap.decide.decide import _answer, step_table
+from fishmj.gap.measured import page as measured_page
 from fishmj.gap.report import sections
 from fishmj.gap.report.report_data import ReportRow, after, gap_of, listed
 from fishmj.gap.search.fit import Candidate
@@ -172,6 +173,25 @@ def test_a_reason_claims_a_share_only_beside_a_gap_that_shrinks():
         "explains records that it has not seen, and nothing else does",
     )
     assert "not their residual smaller" in _answer(good, gates, (), stand, (), (), False)[1]
+
+
+@pytest.mark.parametrize("checks", [{"rest": 5.8, "form": 0.5}, {"size": 0.6}, {"transfer": 0.5}, {"closure": 0.3, "rest": 5.8}])
+def test_unexplained_denies_no_share_that_it_states(checks):
+    """Most of the gap may be explained, by an effect that is not certain: no sentence beside it says that nothing explains it."""
+    good = PASSED | {"rest": 1.0, "form": 0.02, "size": 0.0} | checks
+    answer, reason = _answer(good, frozen(), (), {}, (), ())
+    v = replace(SHRUNK, reason=reason, explained=good["closure"])
+    assert answer == "UNEXPLAINED" and f"explains {percent(v.explained)} of the excess" in v.text()
+    said = (
+        v.text(),
+        sections.headline(v),
+        sections.CONTRACT[answer],
+        sections.meaning(material(v)),
+        measured_page.MEANING[answer],
+    )
+    sentences = [part for text in said for part in re.split(r"[.;:\n]", text) if re.search("explain|hold|takes away", part)]
+    denied = [part for part in sentences if re.search(r"\b(no|not|nothing)\b", part)]
+    assert len(denied) >= 3 and all("for certain" in part or "not fitted to" in part for part in denied), denied
 
 
 @pytest.mark.parametrize("answer", ["AGREES", "NOT_REPEATABLE", "UNEXPLAINED"])

@@ -90,7 +90,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     if not first.accepted:
         tentative = named_effects(found, first.ranked[0], {}) if first.gain > 0 else ()
         gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"
-        why = f"there is a gap, but {gains}, less than {number(gates.gain)}"
+        why = f"there is a gap, but {gains}, less than {number(first.asked or gates.gain)}"
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = support_of_each(found, gates)
     effects = named_effects(found, found.best, stand)

@@ -16,7 +16,7 @@ from fishmj.gap.wording import level, number, percent, quantity, sizes, title
 MEANING = {
     "NAMED": "One term lowers the error of groups that it was not fitted to, and no other does it as well.",
     "CLASS": "Something is missing, and these records cannot tell which of the listed terms it is.",
-    "UNEXPLAINED": "The model misses something that no term in question takes away.",
+    "UNEXPLAINED": "The model misses something that no term in question explains for certain.",
     "AGREES": "The model is as close as the sensors' noise lets one see.",
     "NOT_REPEATABLE": "The records differ from each other as much as from the model.",
     TOO_FEW: "Too few groups to tell: what is listed is a lead for the next experiment, not a finding.",

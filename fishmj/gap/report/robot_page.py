@@ -57,7 +57,7 @@ def next_step(inquiry: Inquiry) -> str:
     if v.answer == "CLASS":
         return "Record a motion in which the listed effects differ: `fishmj gap next REPORT --out experiment.csv` writes one."
     if v.answer == "UNEXPLAINED":
-        return "Look at the joint and the motion in which the residual lies, and at the torques that nothing explains."
+        return "Look at the joint and the motion in which the residual lies, and at the torques that are left there."
     return "Nothing to add." if v.answer == "AGREES" else "Record more replicates."
 
 
@@ -82,8 +82,8 @@ def _torques(m: ReportData) -> Section:
         | {"usual torque of the joint": quantity(usual[joint], unit(joint))}
         for joint, (a, b) in found.items()
     ]
-    about = "Most likely size of the torques at each joint that the model does not explain, each lasting 60 ms."
-    return Section("Torques that nothing explains", about, [table(rows) if rows else ""])
+    about = "Most likely size of the torques at each joint before and after what was found, each lasting 60 ms."
+    return Section("Torques that the model does not explain", about, [table(rows) if rows else ""])
 
 
 def _each(answers: dict[str, str], v: Verdict) -> Section:

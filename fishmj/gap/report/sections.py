@@ -246,7 +246,7 @@ CONTRACT = {
     "AGREES": "Nothing differs beyond what the model leaves open.",
     "NAMED": "One effect explains it, on records that it was not fitted to.",
     "CLASS": "It is one of a few; an experiment is proposed that decides.",
-    "UNEXPLAINED": "Something is missing that the catalogue does not hold.",
+    "UNEXPLAINED": "Something is missing that no effect in question explains for certain.",
     "NOT_REPEATABLE": "The records differ from each other as much as from the model.",
 }
 
@@ -273,7 +273,7 @@ def headline(v: Verdict) -> str:
             found, *others = dict.fromkeys(title(name) for name, _ in v.standing(v.effects[0]))
         return f"Missing: {' or '.join([found, *others])}" if others else f"Perhaps {found}, a stand-in"
     if v.answer == "UNEXPLAINED":
-        return "Something is missing that the catalogue does not explain"
+        return "Something is missing that no effect explains for certain"
     if v.answer == "NOT_REPEATABLE":
         return "The records do not repeat themselves"
     return "Model and records agree"

@@ -203,7 +203,7 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
         return verdict
     words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
     if verdict.answer == "AGREES":
-        return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect of the catalogue explains")
+        return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect in question explains")
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
     everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
     share = {found.name: shares.get(site_of(found.name), everywhere) for found in verdict.effects}
@@ -211,7 +211,7 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     rest = f"torques of {words} are left that no effect explains"
     if not kept:
         least = percent(min(share.values()))
-        why = f"{least} of the mean square of the torques that nothing explains is left, {words}; the best is tentative"
+        why = f"{least} of the mean square of the torques that the model does not explain is left, {words}; the best is tentative"
         return replace(verdict, answer="UNEXPLAINED", reason=why)
     others = tuple(found for found in verdict.effects if found not in kept)
     return replace(verdict, effects=kept, tentative=(*verdict.tentative, *others), warnings=(*verdict.warnings, rest))
