@@ -61,7 +61,7 @@ def check(argv: list[str]) -> int:
 
 
 def ending(trial: Trial) -> list[str]:
-    """How a swim of the tank host ended, in one line, by the events in its meta data; [] of another log."""
+    """Line that says how a swim of the tank host ended, by the events in its meta data; [] of another log."""
     events = trial.value("host.events")
     for event in map(str, reversed(events if isinstance(events, list) else [])):
         before, arrow, why = event.partition(" -> NEUTRAL: ")
