@@ -57,7 +57,7 @@ def options() -> console.Parser:
     from fishmj.water.flow import PRESETS as FLOWS
 
     about = "Learn to hold station in a current that the fish cannot sense; leaves a policy file, best.safetensors, in --out."
-    about += " The paper is the one on zero-shot sim-to-real station holding (docs/decisions/paper_errata.md)."
+    about += " docs/decisions/paper_errata.md names the paper."
     p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
     of = lambda value: ", ".join(f"{name} {value(s)}" for name, s in PRESETS.items())

@@ -15,10 +15,7 @@ from fishmj.evaluate.run_trials import judge_in_solver, run
 from fishmj.lbm_oracle.run.solver_water import SolverWater
 from fishmj.mjcf.description import Robot
 
-PAPER = (
-    "Xiaozhu Lin, Xu Huang, Hongru Dai, Xiaopei Liu, Junzhi Yu, Yang Wang:"
-    " Egocentric Station Holding of Robotic Fish in Unknown Turbulent Background Flow"
-)
+PAPER = "Egocentric Station Holding of Robotic Fish in Unknown Turbulent Background Flow"
 Row = dict[str, Any]  # what one part found, in JSON's own types
 Done = Callable[[float], None]  # takes the simulated seconds that are done
 
