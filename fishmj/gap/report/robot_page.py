@@ -36,6 +36,7 @@ def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[s
         "figures": sections.figures(m),
         "contract": sections.CONTRACT,
         "made": f"gap find · {len(e.records)} logs in the search, {e.runs} null runs of each",
+        "json": "verdict.json",
     }
     name = sections.headline(v)
     write_text(folder / "report.html", pages.report(name, name, shown, "gap.html", mark=v.answer, **head))

@@ -38,7 +38,7 @@ def html(m: ReportData) -> str:
         "next_step": escape_text(next_step(m)),
     }
     made = f"gap find · {len(e.records)} records in the search, {e.runs} null runs of each"
-    head |= {"figures": figures(m), "contract": CONTRACT, "made": made}
+    head |= {"figures": figures(m), "contract": CONTRACT, "made": made, "json": "report.json"}
     return pages.report(headline(v), headline(v), sections, "gap.html", mark=v.answer, **head)
 
 
