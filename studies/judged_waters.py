@@ -1,11 +1,13 @@
-"""Judgement of the leading policy in every water and with every robot of its pages: `python -m studies.judged_waters`.
+"""Judgement of controllers in every water and with every robot of the pages: `python -m studies.judged_waters`.
 
-    python -m studies.judged_waters POLICY                   each condition, 24 trials; those of runs/judged_waters are done
-    python -m studies.judged_waters POLICY --shard 0/2       every second condition, on the first of two GPUs
-    python -m studies.judged_waters --list                   names, commands and seconds of one H200
-    python -m studies.judged_waters --write                  what is done, as rows of `station-family` in place of all earlier
+    python -m studies.judged_waters                            `station-family`: each condition, 24 trials
+    python -m studies.judged_waters --shard 0/2                every second condition, on the first of two GPUs
+    python -m studies.judged_waters runs/new/best.safetensors  a policy in place of `station-family`
+    python -m studies.judged_waters dob pd --only reference    other controllers, in one condition
+    python -m studies.judged_waters --list                     names, commands and seconds of one H200
+    python -m studies.judged_waters --write                    what is done, as rows in place of the same trials
 
-A condition is one `fishmj evaluate station-family --water lbm ..`; its rows go to a table of studies/*/rows. *synthetic*
+A condition is one `fishmj evaluate CONTROLLER --water lbm ..`; its rows go from runs/judged_waters to studies/*/rows. *synthetic*
 """
 
 import argparse
@@ -110,60 +112,67 @@ def robot_of(name: str) -> list[str]:
     return ["--robot", str(path)]
 
 
-def command(policy: str, name: str) -> list[str]:
+def label(controller: str) -> str:
+    """Name of a controller in the rows: a policy's file is that of `NAME` in the making."""
+    return NAME if "/" in controller or controller.endswith(".safetensors") else controller
+
+
+def command(controller: str, name: str) -> list[str]:
     """Arguments of `fishmj evaluate` for a condition."""
     made = CONDITIONS[name]
     options = [*TRIALS, "--repeats", str(made.repeats), "--seed", str(made.seed), *shlex.split(made.options)]
-    return [policy, *options, *robot_of(name), "--out", str(OUT / name)]
+    return [controller, *options, *robot_of(name), "--out", str(OUT / label(controller) / name)]
 
 
-def is_done(name: str) -> bool:
-    """Returns True where all trials of a condition are judged."""
-    return (OUT / name / "results.json").exists()
+def is_done(controller: str, name: str) -> bool:
+    """Returns True where all trials of a controller in a condition are judged."""
+    return (OUT / label(controller) / name / "results.json").exists()
 
 
-def rows_of(name: str) -> list[dict[str, str]]:
-    """Trials of a condition as rows of the tables."""
-    with (OUT / name / "trials.csv").open(encoding="utf-8") as file:
-        return [row | {"water": CONDITIONS[name].water, "controller": NAME} for row in csv.DictReader(file)]
+def rows_of(controller: str, name: str) -> list[dict[str, str]]:
+    """Trials of a controller in a condition as rows of the tables."""
+    with (OUT / controller / name / "trials.csv").open(encoding="utf-8") as file:
+        return [row | {"water": CONDITIONS[name].water, "controller": controller} for row in csv.DictReader(file)]
 
 
 def write() -> list[str]:
-    """Replaces all rows of `NAME` by those of the done conditions; returns the names of the others."""
-    done = [name for name in CONDITIONS if is_done(name)]
+    """Replaces the rows of what is done, by controller, water and seed; returns the conditions that `NAME` has not done."""
+    done = [(folder.name, name) for folder in sorted(OUT.glob("*/")) for name in CONDITIONS if is_done(folder.name, name)]
     for table in (OTHERS, REFERENCE, PLAIN, STILL):
         lines = table.read_text(encoding="utf-8").splitlines()
         keys = lines[0].split(",")
-        kept = [line for line in lines[1:] if dict(zip(keys, next(csv.reader([line])), strict=True))["controller"] != NAME]
-        new = [row for name in done if table in CONDITIONS[name].tables for row in rows_of(name)]
+        which = lambda row: tuple(row.get(key, "") for key in ("controller", "water", "seed") if key in keys)  # noqa: B023
+        new = [row for controller, name in done if table in CONDITIONS[name].tables for row in rows_of(controller, name)]
+        again = {which(row) for row in new}
+        kept = [line for line in lines[1:] if which(dict(zip(keys, next(csv.reader([line])), strict=True))) not in again]
         text = lambda value: f'"{value}"' if "," in value else value
         made = [",".join(text(row[key]) for key in keys) for row in new]
         write_text(table, "\n".join([lines[0], *kept, *made]) + "\n")
         console.say(f"{table.relative_to(HERE.parent)}: {len(made)} rows")
-    return [name for name in CONDITIONS if name not in done]
+    return [name for name in CONDITIONS if (NAME, name) not in done]
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("policy", nargs="?", default=NAME, help=f"name, file or folder of a training (default: {NAME})")
+    add("controllers", nargs="*", metavar="CONTROLLER", help=f"names, or files of policies (default: {NAME})")
     add("--only", nargs="+", choices=CONDITIONS, metavar="NAME", help="these conditions (default: all)")
     add("--shard", default="0/1", metavar="K/N", help="every Nth condition, beginning with number K (default: 0/1)")
     add("--list", action="store_true", help="print conditions and commands, and judge none (default: judge)")
     add("--write", action="store_true", help="write rows of what is done, and judge none (default: judge)")
     given = parser.parse_args(argv)
     k, n = (int(number) for number in given.shard.split("/"))
-    mine = (given.only or list(CONDITIONS))[k::n]
+    mine = [(one, name) for one in given.controllers or [NAME] for name in given.only or CONDITIONS][k::n]
     if given.list:
-        rows = [{"name": x, "seconds": CONDITIONS[x].seconds, "command": shlex.join(command(given.policy, x))} for x in mine]
+        rows = [{"name": x, "seconds": CONDITIONS[x].seconds, "command": shlex.join(command(one, x))} for one, x in mine]
         console.say(console.table(rows))
         return console.OK
     if given.write:
         missing = write()
-        console.say(f"not judged: {' '.join(missing)}" if missing else "all are judged")
+        console.say(f"{NAME} is not judged in: {' '.join(missing)}" if missing else f"{NAME} is judged in all")
         return console.OK
-    for name in mine:
-        if not is_done(name) and (code := evaluate(command(given.policy, name))):
+    for one, name in mine:
+        if not is_done(one, name) and (code := evaluate(command(one, name))):
             return code
     return console.OK
 
