@@ -29,7 +29,7 @@ def late(trial, seconds, *tables):
     return replace(trial, tables={**trial.tables, **moved})
 
 
-def held(trial, until):
+def held_in_place(trial, until):
     """The trial of a fish that is held in its place until a time, while its joints move."""
     pose = {name: np.array(values, float) for name, values in trial.tables["pose"].items()}
     rows, rng = pose["t"] < until, np.random.default_rng(2)
@@ -65,7 +65,7 @@ def test_records_that_count_from_their_own_beginning_are_told_by_the_growth_of_t
 @pytest.mark.parametrize("family", ["foil", "morison", None])
 @pytest.mark.parametrize("until", [3.6, 4.13, 5.02])
 def test_a_fish_that_is_held_while_its_joints_beat_raises_no_alarm(family, until):
-    assert timebase.offsets(held(swim(family), until)) == []
+    assert timebase.offsets(held_in_place(swim(family), until)) == []
 
 
 @pytest.mark.parametrize("what", ["tow_ahead", "drift_east", "idle", "impulse"])

@@ -25,7 +25,7 @@ def scaled(trial, times, **meta):
     return replace(trial, tables={**trial.tables, "pose": pose}, meta={**trial.meta, **meta})
 
 
-def told(trial, length=FISH.length):
+def stride_notes(trial, length=FISH.length):
     return [found for found in physical_checks.examine(trial, ["stride"], length)]
 
 
@@ -36,31 +36,36 @@ def swim(request):
 
 
 def test_a_scale_that_is_ten_times_too_large_is_told_with_what_is_expected(swim):
-    assert told(swim) == [] and told(scaled(swim, 10), length=0.0) == []
-    (found,) = told(scaled(swim, 10))
+    assert stride_notes(swim) == [] and stride_notes(scaled(swim, 10), length=0.0) == []
+    (found,) = stride_notes(scaled(swim, 10))
     assert found.level == physical_checks.NOTE and "body lengths a beat" in found.text
     assert "0.535 m long; expected 0.1 to 1, at most 1.5): is the scale of x and y wrong" in found.text
     assert "allow it with stride in [plausible] of meta.toml" in found.text
-    assert told(scaled(swim, 10, plausible={"stride": 20.0})) == []
+    assert stride_notes(scaled(swim, 10, plausible={"stride": 20.0})) == []
 
 
 def test_a_fish_that_is_pushed_or_in_an_unknown_stream_or_carried_by_a_stated_one_is_not_doubted(swim):
-    assert told(scaled(swim, 10, push=[0.3, 0.0, 0.0])) == [] and told(scaled(swim, 10, flow={"known": False})) == []
+    assert (
+        stride_notes(scaled(swim, 10, push=[0.3, 0.0, 0.0])) == [] and stride_notes(scaled(swim, 10, flow={"known": False})) == []
+    )
     t = np.asarray(swim.tables["pose"]["t"], float)
     pose = {**swim.tables["pose"], "x": np.asarray(swim.tables["pose"]["x"], float) + 1.5 * t}
     carried = replace(swim, tables={**swim.tables, "pose": pose})
-    assert told(carried) and told(replace(carried, meta={**carried.meta, "flow": {"speed": 1.5, "direction": 0.0}})) == []
+    assert (
+        stride_notes(carried)
+        and stride_notes(replace(carried, meta={**carried.meta, "flow": {"speed": 1.5, "direction": 0.0}})) == []
+    )
 
 
 def test_a_fish_that_glides_or_is_towed_with_straight_joints_is_not_judged(swim):
     still = {name: 0 * np.asarray(v) if name != "t" else v for name, v in swim.tables["joint"].items()}
-    assert told(scaled(replace(swim, tables={**swim.tables, "joint": still}), 10)) == []
+    assert stride_notes(scaled(replace(swim, tables={**swim.tables, "joint": still}), 10)) == []
 
 
 def test_shipped_trials_pass():
     trials = [trial for trial in log.read_dataset(calib_folder() / "trials") if "pose" in trial.tables]
-    assert [found for trial in trials for found in told(trial)] == []
-    assert sum(bool(told(scaled(trial, 10))) for trial in trials) == 15  # all that beat before a camera
+    assert [found for trial in trials for found in stride_notes(trial)] == []
+    assert sum(bool(stride_notes(scaled(trial, 10))) for trial in trials) == 15  # all that beat before a camera
 
 
 def test_the_search_and_the_calibration_tell_it_of_their_robot(tmp_path, capsys):

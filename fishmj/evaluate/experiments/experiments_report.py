@@ -34,8 +34,8 @@ def rows_of(finished: FinishedExperiment, named: bool = False) -> list[dict]:
 def sections(every: Iterable[FinishedExperiment]) -> list[Section]:
     """Sections of the page: all figures of several experiments in one table, then each experiment with its pictures."""
     every = list(every)
-    together = [table([row for one in every for row in rows_of(one, True)], left=4)] if len(every) > 1 else []
-    made = [Section("The paper and fishmj", "", together)] if together else []
+    together = table([row for one in every for row in rows_of(one, True)], left=4)
+    made = [Section("The paper and fishmj", "", [together])] if len(every) > 1 else []
     for one in every:
         parts: list[str] = [
             table(rows_of(one), left=3),
