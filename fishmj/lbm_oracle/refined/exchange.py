@@ -427,27 +427,8 @@ def prolong(
         poke3(u_fine, there, peek3(u, here) + d[0] * ux + d[1] * uy + d[2] * uz)
 
 
-@wp.kernel
-def change_step(
-    f: wp.array(dtype=float), u: wp.array(dtype=Any), r: float, f_out: wp.array(dtype=float), u_out: wp.array(dtype=Any)
-):
-    """Converts every cell to a time step r times as long: rho - 1 times r^2, u and P times r (run/time_refinement.py)."""
-    here = wp.tid()
-    cells = u.shape[0]
-    q = vec19()
-    for i in range(_Q):
-        q[i] = peek(f, i * cells + here)
-    drho = density(q)
-    v = (1.0 / (1.0 + drho)) * momentum(q)
-    q = reconstruct(r * r * drho, r * v, r * v, r * non_equilibrium_stress(q, drho, v))
-    for i in range(_Q):
-        poke(f_out, i * cells + here, q[i])
-    poke3(u_out, here, r * peek3(u, here))
-
-
 for _kept in VELOCITIES:  # beforehand: an overload that comes later reloads the module under captured graphs
     _array = wp.array(dtype=_kept)
     wp.overload(explode, {"u": _array, "u_first": _array, "u_second": _array})
     wp.overload(restrict, {"u": _array, "u_fine": _array})
     wp.overload(prolong, {"u": _array, "u_fine": _array})
-    wp.overload(change_step, {"u": _array, "u_out": _array})

@@ -384,18 +384,6 @@ class RefinedFluid(Fluid):
         same: dict[str, Any] = {"linear": self._linear, "threads": self.threads, "numbers": int(self._numbers[2])}
         return RefinedFluid(outer, (x, y, z), _cells(self.size_lu), **same)
 
-    def take_outer(self, other: "RefinedFluid") -> None:
-        """Takes place, clock and state of all coarser water from another box of the same cells and another time step."""
-        mine, theirs = self.outer, other.outer
-        r = mine.lattice.dt / theirs.lattice.dt
-        args = [theirs.f.flatten(), theirs.u.flatten(), r]
-        self._exchange(exchange.change_step, mine.cells, args, [mine.f.flatten(), mine.u.flatten()])
-        mine._place(theirs.origin_lu.copy())
-        mine.steps = round(theirs.steps / r)
-        mine.clock.fill_(mine.steps)
-        if isinstance(mine, RefinedFluid) and isinstance(theirs, RefinedFluid):
-            mine.take_outer(theirs)
-
     def snapshot(self) -> dict[str, np.ndarray]:
         """Complete state of both levels. The coarse level's arrays are under `outer.`.
 

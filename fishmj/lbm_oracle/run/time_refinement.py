@@ -21,7 +21,6 @@ from fishmj.lbm_oracle.fluid.in_kernels import vec19
 from fishmj.lbm_oracle.fluid.lattice import Q
 from fishmj.lbm_oracle.fluid.storage import peek, peek3, poke, poke3
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
-from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
 
 FACTORS = (2, 4)  # finer steps in one
 
@@ -57,8 +56,8 @@ def _rescale(dtype: type, velocity: type) -> wp.Kernel:
     return rescale
 
 
-class OuterState(NamedTuple):
-    """Water of one coarser level at the start of a tick, still on its device."""
+class LevelState(NamedTuple):
+    """Water of one level at the start of a tick, still on its device."""
 
     f: wp.array
     u: wp.array
@@ -69,11 +68,7 @@ class OuterState(NamedTuple):
 class TickState(NamedTuple):
     """State of a coupled fish at the start of a tick, the water still on its device."""
 
-    f: wp.array
-    u: wp.array
-    origin_lu: np.ndarray
-    steps: int
-    outer: tuple[OuterState, ...]  # the coarser levels, the finer first
+    levels: tuple[LevelState, ...]  # the finest first
     body: tuple  # qpos, qvel, ctrl, time, momentum, interior speed, momentum of the layers
     gain: np.ndarray
     wrench: wp.array
@@ -82,15 +77,12 @@ class TickState(NamedTuple):
 
 def checkpoint(coupled: FluidStructure) -> TickState:
     """Copies everything on which the next step depends, on all levels of the water."""
-    fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
+    body, data = coupled.body, coupled.body.data
     solid = data.qpos.copy(), data.qvel.copy(), data.ctrl.copy(), data.time
     solid += body.momentum.copy(), body.interior_speed.copy(), body.layer_momentum.copy()
     with coupled.scope():
-        water = wp.clone(fluid.f), wp.clone(fluid.u), fluid.origin_lu.copy(), fluid.steps
-        outer = tuple(
-            OuterState(wp.clone(level.f), wp.clone(level.u), level.origin_lu.copy(), level.steps) for level in fluid.levels[1:]
-        )
-        return TickState(*water, outer, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
+        water = tuple(LevelState(wp.clone(x.f), wp.clone(x.u), x.origin_lu.copy(), x.steps) for x in coupled.fluid.levels)
+        return TickState(water, solid, coupled.gain.copy(), wp.clone(coupled.boundary.wrench), coupled.steps)
 
 
 def restore(coupled: FluidStructure, kept: TickState) -> None:
@@ -98,11 +90,8 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
     fluid, body, data = coupled.fluid, coupled.body, coupled.body.data
     body.set_step(fluid.lattice.dt)
     with coupled.scope():
-        wp.copy(fluid.f, kept.f)
-        wp.copy(fluid.u, kept.u)
         wp.copy(coupled.boundary.wrench, kept.wrench)
-        _set_place(fluid, kept.origin_lu, kept.steps)
-        for level, water in zip(fluid.levels[1:], kept.outer, strict=True):
+        for level, water in zip(fluid.levels, kept.levels, strict=True):
             wp.copy(level.f, water.f)
             wp.copy(level.u, water.u)
             _set_place(level, water.origin_lu, water.steps)
@@ -158,24 +147,23 @@ class Refinement:
 def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:
     """Moves fish and water from one time step to the other; wrenches stay with the fish that summed them."""
     r = taker.fluid.lattice.dt / giver.fluid.lattice.dt
-    a, b = giver.fluid, taker.fluid
     taker.wait_for_stream_of(giver)
     with taker.scope():
-        inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
-        wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
-        _set_place(b, a.origin_lu, round(a.steps / r))
-        if isinstance(a, RefinedFluid) and isinstance(b, RefinedFluid):
-            b.take_outer(a)
-            taker.steps = b.steps  # an attempt may be given up after any step: looks shall fall between two coarse steps
+        for a, b in zip(giver.fluid.levels, taker.fluid.levels, strict=True):
+            inputs = [a.f.flatten(), a.u.flatten(), r, b.f.flatten(), b.u.flatten()]
+            wp.launch(_rescale(a.f.dtype, a.u.dtype), dim=a.cells, inputs=inputs, device=a.device)
+            _set_place(b, a.origin_lu, round(a.steps / r))
+        if len(taker.fluid.levels) > 1:  # an attempt may be given up after any step: looks shall fall between two coarse steps
+            taker.steps = taker.fluid.steps
     giver.wait_for_stream_of(taker)
     body = taker.body
     now = body.water_momentum()
     body.momentum[:] = now - r * (now - body.momentum)  # the interior water's gain is one of the new, other step
     body.layer_momentum[:] = body.sheet_momentum - r * (body.sheet_momentum - body.layer_momentum)
-    body.set_step(b.lattice.dt)
+    body.set_step(taker.fluid.lattice.dt)
 
 
-def _set_place(fluid: Fluid, origin_lu: np.ndarray, steps: int) -> None:
-    fluid._place(origin_lu.copy())  # a finer box also keeps, on the device, where it lies in the coarser water
-    fluid.steps = int(steps)
-    fluid.clock.fill_(fluid.steps)
+def _set_place(level: Fluid, origin_lu: np.ndarray, steps: int) -> None:
+    level._place(origin_lu.copy())  # a finer box also keeps, on the device, where it lies in the coarser water
+    level.steps = int(steps)
+    level.clock.fill_(level.steps)

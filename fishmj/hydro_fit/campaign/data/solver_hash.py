@@ -49,10 +49,11 @@ ADVISED = "d891ef68f617eff224cdc76b455da9562231f5ad7e356bf55490d2a9bce79424"  # 
 STICKING = "0f32fa9ac2aaf1fcf024c955ada5ea1525658a38fbafa98338a9f26b52017787"
 # a repeated tick knows where its box of finer cells has moved; water without such a box to the bit
 PLACED = "6278da82b0cfd38aa97e99455988d4276d925aa281d59f6b3bf7b59194f82cae"
+RESCALED = "181ae385148b7aab6ecc328d5c123b8b58eab9000d7ac419cf2348f46fe30126"  # one kernel hands over every level; ditto
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
-SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED, STICKING, PLACED), SHIPPED)
+SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED, STICKING, PLACED, RESCALED), SHIPPED)
 # of segments with a law of the wall; SPREAD gives the water its force over a layer
-SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD, STICKING: SPREAD, PLACED: SPREAD}
+SAME_LAW = {LAYERS: WALLS, STRIPS: SPREAD, ADVISED: SPREAD, STICKING: SPREAD, PLACED: SPREAD, RESCALED: SPREAD}
 SAME_REFINED: dict[str, str] = {}  # of water with boxes of finer cells
 
 
