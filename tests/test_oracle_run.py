@@ -7,6 +7,7 @@ import warp as wp
 from fishmj.base.errors import ConfigError, OracleUnstable, SimDiverged, StoreError
 from fishmj.lbm_oracle.cases.coupled_fish import beat, pond
 from fishmj.lbm_oracle.cases.sphere import ball
+from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
 from fishmj.lbm_oracle.immersed import snapshot
@@ -16,7 +17,7 @@ from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.run import ConcurrentRuns, LeftDomain, Run
 from fishmj.lbm_oracle.run.run_log import plausible_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.time_refinement import checkpoint
+from fishmj.lbm_oracle.run.time_refinement import _rescale, checkpoint
 from fishmj.log import read_trial, write_trial
 
 wp.config.quiet = True
@@ -199,6 +200,22 @@ def test_a_window_keeps_its_place_when_a_tick_is_done_again(monkeypatch):
     assert np.hypot(*(run.pose[:2] - [3.21, -1.07])) < 0.1
 
 
+def test_finer_steps_stay_until_the_fish_has_been_slow_for_long_enough(monkeypatch):
+    """A change of the time step multiplies the energy of sound in the tank; one in every beat made it resonate."""
+    monkeypatch.setattr(Run, "limit", 0.2)
+    eased = lambda x: np.clip(x, 0.0, 1.0) ** 2 * (3.0 - 2.0 * np.clip(x, 0.0, 1.0))
+    bent = lambda t: np.full(3, 0.1 * eased(t / 0.12) + 0.1 * eased((t - 0.22) / 0.12))  # two bursts, with a rest of five ticks
+    run, factors = Run(pond("cpu"), prescribed=bent), []
+    run._refinement.stay = 8
+    for _ in range(34):
+        run.tick()
+        factors.append(run.factor)
+    first = factors.index(2)
+    changes = [n for n, (a, b) in enumerate(zip(factors, factors[1:], strict=False), 1) if a != b]
+    assert changes == [first, changes[-1]] and factors[-1] == 1, factors
+    assert factors.count(2) == run.refined >= 8 + 3
+
+
 def test_half_precision_populations_carry_the_same_start():
     ends = []
     for dtype in ("float32", "float16"):
@@ -255,3 +272,34 @@ def test_implausibly_fast_rows_at_the_end_are_dropped_but_one_row_stays():
     assert plausible_rows([calm, wild, calm]) == [calm, wild, calm]
     assert plausible_rows([calm, calm, row(1.0, -1e3), wild]) == [calm, calm]
     assert plausible_rows([wild]) == [wild]
+
+
+def test_sound_gains_energy_where_the_time_step_changes_there_and_back():
+    """2.5 (f^2 + b^2) - 3 f b cos(phase) with f = 3/4, b = 1/4 of the wave, forward and back, in the finer steps: 1 to 2.125."""
+    cells = 128
+    water = Fluid(Lattice(dx=0.02, dt=0.004, nu=4e-5), (cells, 2, 2), "cpu", boundaries=PERIODIC, subgrid="none")
+    fine, wave = water.finer(2), 1e-3 * np.sin(2 * np.pi * np.arange(cells) / cells)
+    ratios = []
+    for phase in range(8):
+        u = np.zeros((cells, 2, 2, 3))
+        u[..., 0] = wave[:, None, None] * water.lattice.sound
+        water.impose(u, np.broadcast_to(wave[:, None, None] * 1e3 * water.lattice.sound**2, u.shape[:3]))
+        before = sound(water)
+        rescaled(water, fine)
+        fine.run(round(phase / 8 * cells * 3**0.5 / 2))
+        rescaled(fine, water)
+        ratios.append(sound(water) / before)
+    assert np.mean(ratios) == pytest.approx(1.5625, rel=0.03)
+    assert min(ratios) == pytest.approx(1.0, abs=0.03) and max(ratios) == pytest.approx(2.125, abs=0.05)
+
+
+def sound(water: Fluid) -> float:
+    """Energy of sound, m2/s2 over 2 and per cell: (P / (rho c))^2 + u^2."""
+    return float(np.mean((water.pressure() / (1e3 * water.lattice.sound)) ** 2 + (water.velocity() ** 2).sum(-1)))
+
+
+def rescaled(giver: Fluid, taker: Fluid) -> None:
+    """Hands the water of one over to the other, which has another time step."""
+    r = taker.lattice.dt / giver.lattice.dt
+    inputs = [giver.f.flatten(), giver.u.flatten(), r, taker.f.flatten(), taker.u.flatten()]
+    wp.launch(_rescale(giver.f.dtype, giver.u.dtype), dim=giver.cells, inputs=inputs, device=giver.device)

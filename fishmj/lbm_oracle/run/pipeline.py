@@ -53,8 +53,11 @@ class TickSource(Protocol):
     steps: int  # of a tick
     delay: int  # steps by which a command is late
     ticks: int
-    alert: int
     fastest: float
+
+    @property
+    def alert(self) -> int:
+        """Number of the tick until which checkpoints are kept, whatever the fish does."""
 
     @property
     def limit(self) -> float:

@@ -23,13 +23,11 @@ from fishmj.lbm_oracle.fluid.lattice import RATIO
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.run.pipeline import CAUTION, DeviceTick, HostTick, JointDriver, Pipeline, servo_power
 from fishmj.lbm_oracle.run.run_log import trial_of
-from fishmj.lbm_oracle.run.time_refinement import FACTORS, Refinement, Tick, TickState, checkpoint
+from fishmj.lbm_oracle.run.time_refinement import FACTORS, STAY, Refinement, Tick, TickState, checkpoint
 from fishmj.log import Trial
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.model import reference_pose
 from fishmj.mjcf.servos import arrived_of, on_the_bus
-
-ALERT = 50  # ticks after a repeated one that keep a checkpoint: the wake is still fast
 
 
 class Servos:
@@ -122,7 +120,7 @@ class Run:
         late = timing.command_latency if latency is None else float(numbers("run: latency", latency, low=0.0))
         self.delay = round(late / dt)
         self.joints = self.robot.n_joints
-        self._refinement, self._pipeline = Refinement(coupled), Pipeline()
+        self._refinement, self._pipeline = Refinement(coupled, round(STAY / timing.bus_dt)), Pipeline()
         self.begin()
 
     def begin(self) -> None:
@@ -142,8 +140,8 @@ class Run:
         self.watch = StabilityMonitor()
         self.fastest = 0.0  # marker in the last tick, m/s
         self.factor = 1  # of the last tick that was done: how many times finer its steps were
-        self.refined = 0  # ticks that were done again with finer steps
-        self.alert = 0  # until this tick checkpoints are kept whatever the fish does
+        self.refined = 0  # ticks that were done with finer steps
+        self._refinement.begin()
 
     @property
     def time(self) -> float:
@@ -178,10 +176,11 @@ class Run:
         sent = self._send(command)
         began, done = self.time, None
         begun = self.coupled.in_flight  # with the grid's own steps, whatever the tick before has shown
+        least = self._refinement.least_at(self.ticks)
         careful = not begun and (self.fastest > CAUTION * self.limit or self.ticks < self.alert)
         kept = checkpoint(self.coupled) if careful else None  # 164 bytes a cell: too much to copy before every tick
         try:
-            if begun or self.fastest <= self.limit:  # else the tick before was too fast, and so will this one be
+            if begun or (least == 1 and self.fastest <= self.limit):  # else the tick before was too fast, and so will this one be
                 done = yield from self._run_tick(self.coupled, 1, stop_if_too_fast=kept is not None)
         except (SimDiverged, OracleUnstable):
             if kept is None:
@@ -246,6 +245,11 @@ class Run:
         return Servos(self, coupled, factor)
 
     @property
+    def alert(self) -> int:
+        """Number of the tick until which checkpoints are kept, whatever the fish does."""
+        return self._refinement.until
+
+    @property
     def limit(self) -> float:
         """Greatest speed of a marker, m/s, for the grid's own time step."""
         return MACH * self.coupled.fluid.lattice.sound
@@ -260,7 +264,8 @@ class Run:
         if done is None:
             message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
             raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")
-        self.refined, self.alert = self.refined + 1, self.ticks + ALERT
+        self.refined += 1
+        self._refinement.note(self.ticks, self.factor, self.fastest / self.limit)
         return done
 
     def _factors(self) -> tuple[int, ...]:
@@ -270,14 +275,14 @@ class Run:
 
         Raises OracleUnstable: speed was not the cause, or its steps were the finest.
         """
+        least = self._refinement.least
         try:
             self.watch.end()
         except OracleUnstable as error:
-            left = tuple(factor for factor in FACTORS if factor > self.factor)
-            if error.limit != "speed" or not left:
+            least = FACTORS[0] * self.factor
+            if error.limit != "speed" or least > FACTORS[-1]:
                 raise
-            return left
-        return FACTORS
+        return tuple(factor for factor in FACTORS if factor >= least)
 
     def servo_target(self, step: int) -> np.ndarray:
         """Servo targets (J,) rad in step `step`: the newest command that is old enough."""

@@ -5,6 +5,10 @@
 Pressure rho c_s^2 dx^2 / dt^2 and velocity u dx / dt stay unchanged. The non-equilibrium stress P is a rate of strain and scales
 like u if the collision relaxes fully (tau near 1/2, as in water). Mach numbers fall by r. The finer water has the same cells, and
 its memory is allocated at the first use. In refined water all levels are copied, repeated and handed over.
+
+Flow near Mach 0 stays the same, sound does not: its speed c = c_s dx / dt is 1 / r times as large, its potential energy
+P^2 / (2 rho c^2) is r^2 times as large, its kinetic energy the same. A wave has as much of one as of the other: it loses 3/8 of
+its energy with r = 1/2 and gains 3/2 with r = 2, there and back a factor of 1.56. So a run changes the step seldom (`Run`).
 """
 
 from collections.abc import Callable, Generator
@@ -23,6 +27,7 @@ from fishmj.lbm_oracle.fluid.storage import peek, peek3, poke, poke3
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 
 FACTORS = (2, 4)  # finer steps in one
+STAY = 1.0  # s of finer steps after the last tick that needed them
 
 Tick = tuple[float, np.ndarray, np.ndarray]  # servo power W, link wrenches raw and whole
 Steps = Callable[[FluidStructure, int], Generator[None, None, Tick | None]]
@@ -102,11 +107,34 @@ def restore(coupled: FluidStructure, kept: TickState) -> None:
 
 
 class Refinement:
-    """Repeats ticks of one coupled fish in waters with finer steps."""
+    """Repeats ticks of one coupled fish in waters with finer steps, and says how many ticks after those have finer steps too.
 
-    def __init__(self, coupled: FluidStructure):
-        self.coupled = coupled
+    Args:
+        coupled: fish and water. stay: ticks for which a factor stays after the last one that needed it.
+
+    Attributes:
+        least: factor that the next ticks have at least. until: number of the tick from which a smaller one does.
+    """
+
+    def __init__(self, coupled: FluidStructure, stay: int):
+        self.coupled, self.stay = coupled, stay
         self._finer: dict[int, FluidStructure] = {}
+        self.begin()
+
+    def begin(self) -> None:
+        """Starts with the grid's own steps."""
+        self.least, self.until = 1, 0
+
+    def least_at(self, tick: int) -> int:
+        """Least factor of tick number `tick`, the next one."""
+        if self.least > 1 and tick >= self.until:
+            self.least, self.until = self.least // FACTORS[0], tick + self.stay
+        return self.least
+
+    def note(self, tick: int, factor: int, speed: float) -> None:
+        """Notes that a tick was done with `factor`, at `speed` times the limit of the grid's own steps."""
+        if factor > self.least or speed > self.least / FACTORS[0]:
+            self.least, self.until = factor, tick + self.stay
 
     def redo(self, kept: TickState, factors: tuple[int, ...], steps: Steps) -> Generator[None, None, Tick | None]:
         """Repeats the tick from its checkpoint with the first of `factors` that is fine enough.
