@@ -89,7 +89,7 @@ SOLVER = (
             "adrc-c1",
             "pd",
         ),
-        "--water lbm --reference --tanks 18 --device cuda:all",
+        "--water lbm --reference --tanks 24 --device cuda",
         "tanks, reference-2, paper_refined, slip 0.99, boundary rims",
     ),
 )
