@@ -12,6 +12,7 @@ import pytest
 wp = pytest.importorskip("warp")
 
 from fishmj.base import console
+from fishmj.base.calib import calib_folder
 from fishmj.base.errors import ConfigError, StoreError, UsageError
 from fishmj.base.store import Manifest, write_npz
 from fishmj.lbm_oracle.cases import same_physics
@@ -135,8 +136,19 @@ def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, mo
     trial = read_trial(out)
     assert trial.value("oracle.stopped") == "interrupted" and len(trial.table("truth")["t"]) == 8  # the tick was finished
     assert [read_slice(path).t for path in slices_in(folder)] == pytest.approx([0, 0.04, 0.08, 0.12])
-    assert (tmp_path / "end.safetensors").is_file()
     assert not [path for path in tmp_path.rglob("*.tmp")]
+    on = ["--start", str(tmp_path / "end.safetensors"), "--out", str(tmp_path / "more"), "--seconds", "0.1"]
+    assert swim.main([*CPU, *on]) == console.OK
+    sent = [read_trial(folder).table("cmd")["c3"] for folder in (out, tmp_path / "more")]
+    assert sent[1][0] == pytest.approx(2 * sent[0][-1] - sent[0][-2], abs=0.01) and abs(sent[0][-1]) > 0.02  # in the gait's phase
+
+
+def test_a_gait_that_the_commands_cannot_show_is_refused(tmp_path):
+    robot = tmp_path / "slow.toml"
+    text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
+    robot.write_text(text.replace("bus_dt = 0.02", "bus_dt = 0.1"), encoding="utf-8")
+    with pytest.raises(ConfigError, match="--frequency 10 Hz, but commands of swift leave every 0.1 s, .* 5 Hz at most"):
+        swim.main([*CPU, "--robot", str(robot), "--frequency", "10", "--seconds", "1"])
 
 
 def test_a_full_disk_stops_the_fields_with_the_reason_and_keeps_the_trial(tmp_path, monkeypatch):

@@ -19,6 +19,7 @@ from fishmj.lbm_oracle.run.run_log import plausible_rows
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.lbm_oracle.run.time_refinement import _rescale, checkpoint
 from fishmj.log import read_trial, write_trial
+from fishmj.water.flow import Flow
 
 wp.config.quiet = True
 
@@ -165,6 +166,78 @@ def test_water_that_a_fine_tick_left_too_fast_is_taken_on_with_finer_steps(monke
             run.tick()
 
 
+def test_a_tick_that_diverges_with_the_grids_steps_is_repeated(monkeypatch):
+    """The attempt that is given up leaves no force behind, which the next one would take for a push from outside."""
+    monkeypatch.setattr(Run, "limit", 0.3)
+    run, wild = Run(pond("cpu"), prescribed=Gait(ramp=0.2)), [np.inf]
+    while run.fastest < 0.2:
+        run.tick()
+    advance = run.coupled.body.advance
+    monkeypatch.setattr(run.coupled.body, "advance", lambda v: advance(v * wild.pop() if wild else v))
+    run.tick()
+    assert run.factor == 2 and not wild and np.isfinite(run.pose).all()
+
+
+@pytest.mark.parametrize("limit", ["speed", "density", "mass"])
+@pytest.mark.parametrize("fast", [True, False])
+def test_water_is_judged_before_the_next_tick_whatever_the_fish_does(monkeypatch, limit, fast):
+    """Of water that ended too fast or too dense for its steps the next tick has finer ones, also of a slow fish."""
+    monkeypatch.setattr(Run, "limit", 0.3 if fast else 10.0)
+    run = Run(pond("cpu"), prescribed=Gait(ramp=0.2))
+    while run.ticks < (9 if fast else 4):
+        run.tick()
+    found, factor = [OracleUnstable("seen at the end of that tick", limit=limit)], run.factor
+    run.watch.pending = run.coupled.fluid, run.coupled.fluid.steps
+
+    def end():
+        if found:
+            raise found.pop()
+
+    monkeypatch.setattr(run.watch, "end", end)
+    if limit == "mass":
+        with pytest.raises(OracleUnstable, match="seen at the end"):
+            run.tick()
+    else:
+        run.tick()
+        assert run.factor == 2 * factor
+
+
+def test_a_fish_that_leaves_in_a_finer_tick_stands_where_the_tick_began(monkeypatch):
+    """Fish and water have one clock and one time step, so that the state can be kept and gone on with."""
+    monkeypatch.setattr(Run, "limit", 0.2)
+    run = Run(pond("cpu"), prescribed=Gait(ramp=0.2), follow=lambda coupled: None)
+    while run.factor == 1:
+        run.tick()
+    before, steps = run.coupled.time, iter(range(3))
+
+    def fence(coupled):
+        if next(steps, None) is None:
+            raise LeftDomain("left_domain: test")
+
+    run.follow = fence
+    with pytest.raises(LeftDomain):
+        run.tick()
+    coupled = run.coupled
+    assert coupled.time == before == pytest.approx(coupled.fluid.time) and coupled.body.dt == coupled.fluid.lattice.dt
+
+
+def test_finer_steps_have_the_present_flow(monkeypatch):
+    monkeypatch.setattr(Run, "limit", 0.2)
+    run = Run(pond("cpu"), prescribed=Gait(ramp=0.2))
+    while run.factor == 1:
+        run.tick()
+    run.coupled.fluid.set_flow(Flow(speed=0.2))
+    run.tick()
+    fine = run._refinement.finer(2)
+    assert run.factor > 1 and fine.fluid.flow == run.coupled.fluid.flow
+
+
+def test_the_first_tick_of_joints_that_begin_at_speed_has_finer_steps():
+    run = Run(pond("cpu"), prescribed=Gait(frequency=2.0, lag=0.0, ramp=0.0))
+    run.tick()
+    assert run.factor == 2
+
+
 def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch):
     """Too fast for two and four steps in one; then the same tick is taken with two and must log what a first attempt would."""
     logged = []
@@ -177,9 +250,9 @@ def test_a_refined_tick_logs_nothing_of_an_attempt_that_was_given_up(monkeypatch
         if given_up:
             monkeypatch.setattr(Run, "limit", 0.05)
             with pytest.raises(OracleUnstable, match="sub-steps take"):
-                list(run._redo_tick(kept))
+                list(run._redo_tick(kept, 1))
             monkeypatch.setattr(Run, "limit", 10.0)
-        attempt = run._redo_tick(kept)
+        attempt = run._redo_tick(kept, 1)
         with pytest.raises(StopIteration) as done:
             while True:
                 next(attempt)

@@ -151,7 +151,8 @@ class LbmEngine:
         steps, _ = ticks_per(self.robot)
         if round(self.robot.timing.bus_dt / coupled.body.dt) < steps:
             raise ConfigError(
-                f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s"
+                f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s;"
+                " take smaller cells, --dx, whose step is in proportion"
             )
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
         run: Callable[..., Run] = partial(EffectRun, acting) if acting else Run

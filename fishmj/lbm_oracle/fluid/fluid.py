@@ -419,7 +419,10 @@ class Fluid:
         return self._surveyor.result()
 
     def finer(self, factor: int) -> "Fluid":
-        """Undisturbed water in a box of the same cells, faces and options, with steps `factor` times finer, a whole number."""
+        """Undisturbed water in a box of the same cells, faces and options, with steps `factor` times finer, a whole number.
+
+        A sponge acts once a step: sound, which is `factor` times as fast, loses as much on its way through; a wake loses more.
+        """
         factor = int(whole_numbers("fluid: factor of finer steps", factor, low=1))
         old = self.lattice
         lattice = replace(old, dt=old.dt / factor)

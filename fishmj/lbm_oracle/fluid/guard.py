@@ -162,6 +162,7 @@ class StabilityMonitor:
 
     every: int = EVERY
     fastest: float = 0.0  # greatest speed seen, m/s
+    speed: float = 0.0  # greatest of the last survey, m/s
     looks: int = 0
     pending: tuple | None = None  # fluid and step of a look that was begun
 
@@ -204,7 +205,7 @@ class StabilityMonitor:
     def _judge(self, fluid, step: int, found):
         self.looks += 1
         mean = found.mass / fluid.cells
-        speed = found.speed * fluid.lattice.velocity
+        speed = self.speed = found.speed * fluid.lattice.velocity
         broken = {  # in this order
             "lost": found.lost or isnan(found.speed),
             "speed": found.speed > SPEED_LU,

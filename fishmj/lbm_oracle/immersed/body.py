@@ -293,6 +293,7 @@ class ImmersedBody:
             at = int(np.argmax(np.nan_to_num(np.abs(velocity), nan=np.inf)))
             joint = self.model.joint(self.model.dof_jntid[at]).name
             message = f"oracle: velocity of joint {joint!r} is {velocity[at]:.3g} at t = {d.time:.4g} s (limit {RUNAWAY:g})"
+            d.qfrc_applied[:] = 0.0  # the next attempt would take it for a push from outside
             raise SimDiverged(message, time=float(d.time), term="coupling", link=joint)
         mujoco.mj_step2(self.model, d)
         d.qfrc_applied[:] = 0.0

@@ -12,13 +12,14 @@ holds the root or moves it along `root`. The torques that this needs are the rea
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence
+from math import ceil
 from typing import Any, cast
 
 import numpy as np
 
 from fishmj.base.errors import ConfigError, FishmjError, OracleUnstable, SimDiverged
 from fishmj.base.options import checked_array, shown_value
-from fishmj.lbm_oracle.fluid.guard import MACH, StabilityMonitor, numbers
+from fishmj.lbm_oracle.fluid.guard import MACH, SPEED_LU, StabilityMonitor, numbers
 from fishmj.lbm_oracle.fluid.lattice import RATIO
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.run.pipeline import CAUTION, DeviceTick, HostTick, JointDriver, Pipeline, servo_power
@@ -80,7 +81,7 @@ class Run:
         root: path of a tethered fish, t -> (x, y, yaw), m and rad, t in s since the run began; None holds it still.
         pipelined: tick n + 1 starts before the host reads tick n (`pipeline`). Needs a command latency of one tick or more and
             a window that does not move. The water is then one tick ahead of the fish, and `FluidStructure.scope` refuses to
-            show it. A fish whose speed doubles within one tick gets finer steps one tick later.
+            show it. A fish whose speed doubles within two ticks gets finer steps one or two ticks later.
 
     Raises ConfigError: a bus tick is not a whole number of steps of the water, on every level, or an invalid latency.
     """
@@ -110,13 +111,12 @@ class Run:
         self.steps = round(timing.bus_dt / dt)
         if self.steps < 1 or abs(self.steps * dt - timing.bus_dt) > 1e-9:
             near = timing.bus_dt / max(1, round(timing.bus_dt / dt))
-            raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:g} s")
+            raise ConfigError(f"run: the bus tick of {timing.bus_dt} s is no multiple of dt = {dt} s; nearest dt: {near:.12g} s")
         levels = coupled.fluid.levels
         if self.steps % RATIO ** (len(levels) - 1):
             coarse, tick = levels[-1].lattice.dt, timing.bus_dt
-            raise ConfigError(
-                f"run: the bus tick of {tick} s is no multiple of the coarse dt = {coarse:g} s; take {tick / 5:g} s"
-            )
+            near = tick / ceil(tick / coarse)
+            raise ConfigError(f"run: the bus tick of {tick} s is no multiple of the coarse dt = {coarse:g} s; take {near:.12g} s")
         late = timing.command_latency if latency is None else float(numbers("run: latency", latency, low=0.0))
         self.delay = round(late / dt)
         self.joints = self.robot.n_joints
@@ -138,7 +138,7 @@ class Run:
         self.rows: list[tuple] = []
         self.stopped = ""  # why the run ended early
         self.watch = StabilityMonitor()
-        self.fastest = 0.0  # marker in the last tick, m/s
+        self.fastest = self.coupled.body.fastest(self.coupled.boundary.corners)  # marker in the last tick, m/s
         self.factor = 1  # of the last tick that was done: how many times finer its steps were
         self.refined = 0  # ticks that were done with finer steps
         self._refinement.begin()
@@ -177,15 +177,18 @@ class Run:
         began, done = self.time, None
         begun = self.coupled.in_flight  # with the grid's own steps, whatever the tick before has shown
         least = self._refinement.least_at(self.ticks)
-        careful = not begun and (self.fastest > CAUTION * self.limit or self.ticks < self.alert)
-        kept = checkpoint(self.coupled) if careful else None  # 164 bytes a cell: too much to copy before every tick
+        led = self.ticks == 0 and (self.prescribed is not None or self.root is not None)  # it may begin at any speed
+        doubted = led or self.watch.pending is not None or self.ticks < self.alert or self.fastest > CAUTION * self.limit
+        kept = checkpoint(self.coupled) if doubted and not begun else None  # 164 bytes a cell: too much before every tick
+        if kept is not None:
+            least = self._judged(least)
         try:
-            if begun or (least == 1 and self.fastest <= self.limit):  # else the tick before was too fast, and so will this one be
+            if begun or (least == 1 and self.fastest <= self.limit):  # a tick after one that was too fast will be so, too
                 done = yield from self._run_tick(self.coupled, 1, stop_if_too_fast=kept is not None)
         except (SimDiverged, OracleUnstable):
             if kept is None:
                 raise
-        power, raw, whole = done or (yield from self._redo_tick(cast(TickState, kept)))  # it stops only with a checkpoint
+        power, raw, whole = done or (yield from self._redo_tick(cast(TickState, kept), least))  # it stops only with a checkpoint
         self.ticks += 1
         self.rows.append((began, self.time, sent, self.pose, self.angles(), self.rates(), power, raw, whole))
 
@@ -254,35 +257,36 @@ class Run:
         """Greatest speed of a marker, m/s, for the grid's own time step."""
         return MACH * self.coupled.fluid.lattice.sound
 
-    def _redo_tick(self, kept: TickState) -> Generator[None, None, Tick]:
+    def _redo_tick(self, kept: TickState, least: int) -> Generator[None, None, Tick]:
         """Repeats the tick from its checkpoint with finer steps; counted in `refined`.
 
         Raises OracleUnstable: too fast for the finest steps too; SimDiverged: the time step was not the cause.
         """
-        self.coupled.wait_for_water()  # the survey at the last tick's end is judged first
-        done = yield from self._refinement.redo(kept, self._factors(), self._run_tick)
+        factors = tuple(factor for factor in FACTORS if factor >= least)
+        done = yield from self._refinement.redo(kept, factors, self._run_tick)
         if done is None:
             message = f"a marker moves at {self.fastest:.2f} m/s at t = {self.time:.3f} s; {FACTORS[-1]} sub-steps take"
             raise OracleUnstable(f"oracle: {message} {FACTORS[-1] * self.limit:.2f} m/s. Take a smaller dt", limit="mach")
         self.refined += 1
-        self._refinement.note(self.ticks, self.factor, self.fastest / self.limit)
+        water = self.watch.speed / (SPEED_LU * self.coupled.fluid.lattice.velocity)
+        self._refinement.note(self.ticks, self.factor, max(self.fastest / self.limit, water))
         return done
 
-    def _factors(self) -> tuple[int, ...]:
-        """Factors of refinement to try, given the survey at the end of the previous tick, before any step of this one.
+    def _judged(self, least: int) -> int:
+        """Least factor of this tick after a look at the survey of the last one's end.
 
-        If the water ended too fast for that tick's steps, faster than any marker, this tick needs finer ones.
+        Water that ended too fast or too dense for that tick's steps, faster than any marker, needs finer ones.
 
-        Raises OracleUnstable: speed was not the cause, or its steps were the finest.
+        Raises OracleUnstable: that was not the cause, or its steps were the finest.
         """
-        least = self._refinement.least
+        self.coupled.wait_for_water()
         try:
             self.watch.end()
         except OracleUnstable as error:
             least = FACTORS[0] * self.factor
-            if error.limit != "speed" or least > FACTORS[-1]:
+            if error.limit not in ("speed", "density") or least > FACTORS[-1]:
                 raise
-        return tuple(factor for factor in FACTORS if factor >= least)
+        return least
 
     def servo_target(self, step: int) -> np.ndarray:
         """Servo targets (J,) rad in step `step`: the newest command that is old enough."""

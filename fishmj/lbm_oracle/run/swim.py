@@ -9,6 +9,7 @@ Ctrl-C ends the run after the tick that is under way; trial, state and fields up
 
 import shlex
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from math import degrees, radians
 from pathlib import Path
@@ -42,13 +43,23 @@ def main(argv: list[str]) -> int:
     if robot.effects:
         names = ", ".join(fitted.name for fitted in robot.effects)
         console.warn(f"lbm_oracle swim: {robot.name} swims without its effects {names}; evaluate --water lbm has them")
-    seconds = args.seconds if args.seconds is not None else args.beats / gait.frequency
+    seconds, tick = args.seconds if args.seconds is not None else args.beats / gait.frequency, robot.timing.bus_dt
+    if round(seconds / tick) < 1:
+        raise ConfigError(
+            f"lbm_oracle swim: {seconds:g} s is shorter than a bus tick of {robot.name}, {tick:g} s; take that or more"
+        )
+    if not args.prescribed and gait.frequency > (most := 1 / (2 * tick)):
+        raise ConfigError(
+            f"lbm_oracle swim: --frequency {gait.frequency:g} Hz, but commands of {robot.name} leave every {tick:g} s, which"
+            f" shows a servo {most:g} Hz at most; take less, or --prescribed, whose joints follow every step"
+        )
     if args.out and args.out.exists() and not args.overwrite:
         raise StoreError(f"{args.out}: exists; choose another --out, or add --overwrite to replace the trial in it")
     stage = _stage(args)
     less = "take a coarser --preset or fewer --seconds; --preset laptop is a preview"
     solver_cost.agree("lbm_oracle swim", args.device, [(stage.domain, seconds)], instead=less)
-    run = stage.run(tethered=args.tethered, prescribed=gait if args.prescribed else None, latency=args.latency)
+    beat = lambda t: gait(run.start + t)  # after --start in the phase of the swim before
+    run = stage.run(tethered=args.tethered, prescribed=beat if args.prescribed else None, latency=args.latency)
     if args.start is not None:
         snapshot.load(args.start, run.coupled)
         run.begin()
@@ -56,7 +67,7 @@ def main(argv: list[str]) -> int:
         console.say(f"{args.preset} is a preview: dx = {run.coupled.fluid.lattice.dx} m is too coarse for a judgement")
     recorder, kept = _recorder(args, run), LastGood() if args.out or args.save else None
     with interrupt.finishing(lambda: _interrupt_message(args, run)):
-        wall = drive(run, gait, seconds, quiet=args.json, recorder=recorder, kept=kept)
+        wall = drive(run, beat, seconds, quiet=args.json, recorder=recorder, kept=kept)
     if run.stopped == INTERRUPTED:
         kept_in = f"the trial until then is in {args.out}" if args.out else "no trial is kept without --out FOLDER"
         again = f"go on with --start {shlex.quote(str(args.save))}" if args.save else "with --save FILE, --start FILE goes on"
@@ -79,7 +90,15 @@ def main(argv: list[str]) -> int:
     return console.FAILED_CHECK if lost or run.stopped.startswith("fields") else console.OK
 
 
-def drive(run: Run, gait: Gait, seconds: float, *, quiet: bool = False, recorder=None, kept: "LastGood | None" = None) -> float:
+def drive(
+    run: Run,
+    gait: Callable[[float], np.ndarray],
+    seconds: float,
+    *,
+    quiet: bool = False,
+    recorder=None,
+    kept: "LastGood | None" = None,
+) -> float:
     """Swims with a progress line; returns the wall time in s. A run that stops early has the reason in `run.stopped`.
 
     Args:

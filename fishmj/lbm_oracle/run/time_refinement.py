@@ -8,7 +8,8 @@ its memory is allocated at the first use. In refined water all levels are copied
 
 Flow near Mach 0 stays the same, sound does not: its speed c = c_s dx / dt is 1 / r times as large, its potential energy
 P^2 / (2 rho c^2) is r^2 times as large, its kinetic energy the same. A wave has as much of one as of the other: it loses 3/8 of
-its energy with r = 1/2 and gains 3/2 with r = 2, there and back a factor of 1.56. So a run changes the step seldom (`Run`).
+its energy with r = 1/2 and gains 3/2 with r = 2, there and back a factor of 1.56 in the mean over phases. So finer steps stay
+for a while (`STAY`).
 """
 
 from collections.abc import Callable, Generator
@@ -113,7 +114,8 @@ class Refinement:
         coupled: fish and water. stay: ticks for which a factor stays after the last one that needed it.
 
     Attributes:
-        least: factor that the next ticks have at least. until: number of the tick from which a smaller one does.
+        least: factor that the next ticks have at least. until: number of the tick from which half of it does; of a factor of 1,
+            that until which checkpoints are kept.
     """
 
     def __init__(self, coupled: FluidStructure, stay: int):
@@ -132,33 +134,39 @@ class Refinement:
         return self.least
 
     def note(self, tick: int, factor: int, speed: float) -> None:
-        """Notes that a tick was done with `factor`, at `speed` times the limit of the grid's own steps."""
+        """Notes that a tick was done with `factor`; marker or water were at `speed` times the limit of the grid's own steps."""
         if factor > self.least or speed > self.least / FACTORS[0]:
             self.least, self.until = factor, tick + self.stay
 
     def redo(self, kept: TickState, factors: tuple[int, ...], steps: Steps) -> Generator[None, None, Tick | None]:
         """Repeats the tick from its checkpoint with the first of `factors` that is fine enough.
 
-        None: a marker is too fast for all. Raises SimDiverged, OracleUnstable: the error of the finest steps.
+        None: a marker is too fast for all. Raises SimDiverged, OracleUnstable: the error of the finest steps. Without a result
+        fish and water stand at the start of the tick again.
         """
-        for factor in factors:
-            restore(self.coupled, kept)
-            fine = self.finer(factor)
-            hand_over(self.coupled, fine)
-            fine.take_wrench(1.0)  # the sum of an attempt that was given up
-            try:
-                done = yield from steps(fine, factor)
-            except (SimDiverged, OracleUnstable):
-                if factor == FACTORS[-1]:
-                    raise
-                continue
-            if done is not None:
-                hand_over(fine, self.coupled)
-                return done
-        return None
+        done = None
+        try:
+            for factor in factors:
+                restore(self.coupled, kept)
+                fine = self.finer(factor)
+                hand_over(self.coupled, fine)
+                fine.take_wrench(1.0)  # the sum of an attempt that was given up
+                try:
+                    done = yield from steps(fine, factor)
+                except (SimDiverged, OracleUnstable):
+                    if factor == FACTORS[-1]:
+                        raise
+                    continue
+                if done is not None:
+                    hand_over(fine, self.coupled)
+                    break
+        finally:
+            if done is None:
+                restore(self.coupled, kept)
+        return done
 
     def finer(self, factor: int) -> FluidStructure:
-        """The same body in water with steps shorter by `factor`; its state is not set.
+        """The same body in water with steps shorter by `factor`; its state is not set, its background flow is the present one.
 
         It is made once, because its arrays are as large as the first ones.
         """
@@ -169,7 +177,10 @@ class Refinement:
             same = {"slip": old.slip, "width": old.boundary.width, "passes": old.boundary.passes}
             same |= {"scheme": old.scheme, "interior": old.interior}
             self._finer[factor] = type(old)(water, old.body, old.boundary.markers, **same)
-        return self._finer[factor]
+        if (fine := self._finer[factor]).fluid.flow is not self.coupled.fluid.flow:
+            with fine.scope():
+                fine.fluid.set_flow(self.coupled.fluid.flow)
+        return fine
 
 
 def hand_over(giver: FluidStructure, taker: FluidStructure) -> None:

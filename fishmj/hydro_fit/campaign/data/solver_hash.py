@@ -52,7 +52,7 @@ STICKING = "0f32fa9ac2aaf1fcf024c955ada5ea1525658a38fbafa98338a9f26b52017787"
 PLACED = "6278da82b0cfd38aa97e99455988d4276d925aa281d59f6b3bf7b59194f82cae"
 # a tick that needs finer steps gives them to the second after it, too: a hard gait swims 2 % faster than in shipped segments, of
 # which a tenth of all ticks had them; runs without such ticks to the bit
-STAYING = "7397fc875c9bfd355e631cffdda0cfb6c8448321bff0158ea77f239d5e5b7a39"
+STAYING = "89c1f6dd28639777ed1da185fc0b75be3d5063c3a70769e710669c82e747bf12"
 LATER = (REBUILT, ANY_LINKS, TWO_LEVELS, QUICKER, AHEAD, LISTED, SECTORS, SHORT, STREAMS, EDGED, TREES, CHECKED, ROOMS, ONE_LOOP)
 SAME = dict.fromkeys((*LATER, WALLS, LAYERS, SPREAD, STRIPS, ADVISED, STICKING, PLACED, STAYING), SHIPPED)
 # of segments with a law of the wall; SPREAD gives the water its force over a layer
