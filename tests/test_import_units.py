@@ -12,6 +12,7 @@ from fishmj.base.errors import LogError
 from fishmj.log import trial_check
 from fishmj.log.importers import guess, header
 from fishmj.log.importers.header import role
+from fishmj.log.limits import typed
 
 
 @pytest.fixture
@@ -55,11 +56,17 @@ def test_a_name_with_two_meanings_is_asked(name):
         *(("x [ft]", "pose.x", 0.3048), ("x (inch)", "pose.x", 0.0254), ("x_dm", "pose.x", 0.1), ("x_um", "pose.x", 1e-6)),
         *(("meas1 [gon]", "joint.j1", np.pi / 200), ("meas1_mdeg", "joint.j1", np.radians(1e-3)), ("time_cs", "t", 0.01)),
         *(("meas1_cdeg", "joint.j1", np.radians(0.01)), ("time [h]", "t", 3600.0), ("time (days)", "t", 86400.0)),
+        *(("surge [ft/s]", "velocity.surge", 0.3048), ("surge_ft_s", "velocity.surge", 0.3048)),
+        *(("surge (mph)", "velocity.surge", 0.44704), ("surge [m s^-1]", "velocity.surge", 1.0)),
+        *(("yaw_rate [mrad/s]", "velocity.yaw_rate", 1e-3), ("yaw_rate [mdps]", "velocity.yaw_rate", np.radians(1e-3))),
+        ("ax [mg]", "imu.ax", 9.80665e-3),
     ],
 )
 def test_rare_units_of_a_name_are_converted(tmp_path, bring, name, place, size):
     values = 0.02 * N if place == "t" else 0.3 * WAVE
-    beside = {"pose.x": ("time_s,y_m,yaw_deg", "{t},0.1,2"), "joint.j1": ("time_s", "{t}"), "t": ("meas1_rad", "{w}")}[place]
+    beside = {"pose.x": ("time_s,y_m,yaw_deg", "{t},0.1,2"), "joint.j1": ("time_s", "{t}"), "t": ("meas1_rad", "{w}")}
+    beside |= {"velocity.yaw_rate": ("time_s,surge_m_s", "{t},0.1"), "imu.ax": ("time_s,ay [m/s^2]", "{t},0.1")}
+    beside = beside.get(place, ("time_s", "{t}"))
     rows = [f"{beside[1].format(t=0.02 * i, w=WAVE[i])},{v:.12g}" for i, v in enumerate(values / size)]
     (tmp_path / "log.csv").write_text("\n".join([f"{beside[0]},{name}", *rows]) + "\n")
     code, _, err = bring(tmp_path / "log.csv", "--yes")
@@ -68,7 +75,10 @@ def test_rare_units_of_a_name_are_converted(tmp_path, bring, name, place, size):
     near(only(tmp_path / "set").tables[table][column], values, 2e-6)
 
 
-@pytest.mark.parametrize("name", ["x [BL]", "x [10 mm]", "x (0.1 m)"])
+MULTIPLES = "BL, 10 mm, 0.1 m, m x10, mm/10, 1/10 mm, m*2, 2^8 px, half feet, m/turn, 100 raw/m, -1..1, a.u., LSB, x100, π m"
+
+
+@pytest.mark.parametrize("name", [*(f"x [{unit}]" for unit in MULTIPLES.split(", ")), "x_mm_x10", "x cm/2"])
 def test_a_unit_without_a_factor_is_asked_with_a_scale(tmp_path, bring, name):
     path = lab_files.write(tmp_path / "log.csv", {"time_ms": 20.0 * N, name: WAVE, "y_m": WAVE, "yaw_deg": 10 * WAVE})
     code, _, err = bring(path, "--yes")
@@ -77,10 +87,45 @@ def test_a_unit_without_a_factor_is_asked_with_a_scale(tmp_path, bring, name):
     near(only(tmp_path / "set").tables["pose"]["x"], 0.5 * WAVE)
 
 
-def test_a_unit_without_a_factor_in_a_row_of_units_is_asked(tmp_path, bring):
-    (tmp_path / "log.csv").write_text("t,x,y,yaw\ns,BL,BL,deg\n" + "".join(f"{0.02 * i},{0.01 * i},0,5\n" for i in range(50)))
+@pytest.mark.parametrize("unit", ["BL", "m/2", "mm x10"])
+def test_a_unit_without_a_factor_in_a_row_of_units_is_asked(tmp_path, bring, unit):
+    rows = "".join(f"{0.02 * i},{0.01 * i},0,5\n" for i in range(50))
+    (tmp_path / "log.csv").write_text(f"t,x,y,yaw\ns,{unit},{unit},deg/2\n" + rows)
     code, _, err = bring(tmp_path / "log.csv", "--yes")
-    assert code == 2 and "x [BL]: BL is no unit that is known" in err
+    assert code == 2 and f"x [{unit}]: {unit} is no unit that is known" in err and "pose.yaw:rad*SCALE" in err
+
+
+WORDS = "left, camera, raw?, cam 1, z-up, in tank frame, tail_servo, m1, s2, joint 3, world/map, -, UTC, CW+, 0x201, tag 4"
+
+
+@pytest.mark.parametrize("words", WORDS.split(", "))
+def test_words_in_brackets_that_tell_no_unit_are_not_asked(words):
+    assert (found := header.parse(f"servo1 [{words}]")).unit == found.other == "" and found.words == ("servo",)
+    assert header.parse(f"servo1 (deg, {words})").unit == "deg"
+
+
+@pytest.mark.parametrize("name", ["servo{} [deg*2]", "servo{}_deg_x10"])
+def test_a_servo_in_a_multiple_of_a_unit_is_asked_as_any_column(tmp_path, bring, name):
+    path = lab_files.write(tmp_path / "log.csv", {"time_ms": 20.0 * N, **{name.format(k): 20 * WAVE for k in (1, 2)}})
+    code, _, err = bring(path, "--yes")
+    assert code == 2 and "is no unit that is known" in err and f"--set {typed(name.format(2))}=cmd.c2:rad*SCALE" in err
+
+
+@pytest.mark.parametrize("name", ["cmd1", "servo1", "meas1", "joint_angle", "yaw", "cmd"])
+@pytest.mark.parametrize("cell", ["0x800", "45%", '"[0.1, 0.2]"'])
+def test_a_command_joint_or_pose_of_text_is_asked(tmp_path, bring, name, cell):
+    rows = "".join(f"{0.02 * i},{cell},{0.01 * i},0\n" for i in range(50))
+    (tmp_path / "log.csv").write_text(f"t,{name},x_m,y_m\n{rows}")
+    code, _, err = bring(tmp_path / "log.csv", "--yes")
+    assert code == 2 and f"{name}: its cells are text, such as '{cell.strip(chr(34))}': write plain numbers" in err
+    assert f"--set {name}=skip" in err
+
+
+@pytest.mark.parametrize("name, cell", [("firmware", "0x800"), ("charge", "45%"), ("cmd", "forward")])
+def test_other_columns_of_text_are_left_out(tmp_path, bring, name, cell):
+    rows = "".join(f"{0.02 * i},{cell},{0.01 * i},0,5\n" for i in range(50))
+    (tmp_path / "log.csv").write_text(f"t,{name},x_m,y_m,yaw_deg\n{rows}")
+    assert bring(tmp_path / "log.csv", "--yes")[0] == 0
 
 
 def test_battery_in_millivolts_without_a_unit_is_inferred_from_values(tmp_path):

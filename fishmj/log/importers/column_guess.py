@@ -1,5 +1,6 @@
 """A column's guessed meaning, and the files that share their columns."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -7,9 +8,13 @@ from typing import Any
 import numpy as np
 
 from fishmj.log.importers import header
+from fishmj.log.importers.column_map import measured
+from fishmj.log.importers.column_units import SI
 from fishmj.log.importers.sheet import Sheet
+from fishmj.log.limits import quoted
 
 TAKEN, UNCLEAR, LEFT = "taken", "unclear", "left out"
+TEXT = "its cells are text"  # of a column that should hold numbers
 ROWS = 200_000  # of one file that the statistics look at
 
 
@@ -64,6 +69,9 @@ class FileKind:
 
     def doubt(self, column: str) -> str:
         """Reason from the file that the user must decide on a column; "" without one."""
+        text = next((sheet.text[column] for sheet in self.sheets if column in sheet.text), "")
+        if re.search(r"\d", text) and not np.isfinite(self.values(column)).any():
+            return f"{TEXT}, such as {quoted(text)}: write plain numbers, or leave it out"
         return next((sheet.doubts[column] for sheet in self.sheets if column in sheet.doubts), "")
 
     def values(self, column: str) -> np.ndarray:
@@ -76,6 +84,25 @@ def without_letter(column: str, columns: Sequence[str]) -> str:
     stem, last = column[:-1], column[-1:]
     alike = {stem + letter for letter in ("ab" if last.islower() else "AB")} <= set(columns)
     return stem.rstrip("_-. ") or column if alike and last.isalpha() else column
+
+
+def doubt(kind: FileKind, column: str, place: str) -> tuple[str, tuple[str, ...]]:
+    """Reason that the user must decide on a column (its cells, or a unit without a factor), and what fits; "" without one."""
+    other = header.parse(without_letter(column, kind.columns)).other
+    if told := kind.doubt(column):
+        return told, ("skip",) * told.startswith(TEXT)
+    if not other or kind.sheets[0].units.get(column):
+        return "", ()
+    table, _, ours = place.replace("#", "1").partition(".")
+    unit = "s" if place == "t" else SI.get(measured(table, ours)) or "m"
+    return f"{other} is no unit that is known: say one with a scale, such as {unit}*0.3", (f"{unit}*SCALE",)
+
+
+def doubted(kind: FileKind, g: Guess) -> Guess:
+    """The guess, unclear if its cells or the unit in its name raise a doubt."""
+    why, fits = doubt(kind, g.column, g.place)
+    unit = fits[0].removesuffix("*SCALE") if fits else g.unit
+    return g.unclear(why, unit=unit, fits=fits or g.fits) if why and (fits or g.state == TAKEN) else g
 
 
 def stamps(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:

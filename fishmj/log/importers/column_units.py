@@ -25,13 +25,14 @@ UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to 
     **{"rad": ("angle", 1.0), "mrad": ("angle", 1e-3), "deg": ("angle", _DEG), "rev": ("angle", 2 * math.pi)},
     **{"mdeg": ("angle", 1e-3 * _DEG), "cdeg": ("angle", 1e-2 * _DEG), "gon": ("angle", 0.9 * _DEG)},
     **{"rad/s": ("rate", 1.0), "deg/s": ("rate", _DEG), "rpm": ("rate", 2 * math.pi / 60)},
+    **{"mrad/s": ("rate", 1e-3), "mdeg/s": ("rate", 1e-3 * _DEG), "rev/s": ("rate", 2 * math.pi)},
     **{"m": ("length", 1.0), "cm": ("length", 1e-2), "mm": ("length", 1e-3), "px": ("length", math.nan)},
     **{"um": ("length", 1e-6), "dm": ("length", 0.1), "km": ("length", 1e3), "in": ("length", 0.0254), "ft": ("length", 0.3048)},
     **{"m/s": ("speed", 1.0), "cm/s": ("speed", 1e-2), "mm/s": ("speed", 1e-3)},
-    **{"km/h": ("speed", 1 / 3.6), "kn": ("speed", 1852 / 3600)},
+    **{"km/h": ("speed", 1 / 3.6), "kn": ("speed", 1852 / 3600), "ft/s": ("speed", 0.3048), "mph": ("speed", 0.44704)},
     **{"V": ("voltage", 1.0), "mV": ("voltage", 1e-3), "A": ("current", 1.0), "mA": ("current", 1e-3)},
-    **{"m/s^2": ("acceleration", 1.0), "g": ("acceleration", 9.80665), "Hz": ("frequency", 1.0)},
-    **{"deg C": ("temperature", 1.0)},
+    **{"m/s^2": ("acceleration", 1.0), "g": ("acceleration", 9.80665), "mg": ("acceleration", 9.80665e-3)},
+    **{"deg C": ("temperature", 1.0), "Hz": ("frequency", 1.0)},
     **{"N": ("force", math.nan), "mN": ("force", math.nan), "N m": ("torque", math.nan), "mN m": ("torque", math.nan)},
     **{"kg": ("mass", math.nan), "W": ("power", math.nan), "%": ("share", math.nan), "count": ("count", math.nan)},
     **{"norm": ("share", math.nan)},  # of full deflection
@@ -60,6 +61,9 @@ _SPELLED = {
     **dict.fromkeys(("revs", "turn", "turns"), "rev"),
     **dict.fromkeys(("radps", "rad s", "rad/sec", "rads/s"), "rad/s"),
     **dict.fromkeys(("dps", "degps", "deg s", "deg/sec", "°/s", "degrees/s"), "deg/s"),
+    **dict.fromkeys(("mrad s",), "mrad/s"),
+    **dict.fromkeys(("mdps",), "mdeg/s"),
+    **dict.fromkeys(("ft s",), "ft/s"),
     **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
     **dict.fromkeys(("centimetre", "centimetres", "centimeter", "centimeters", "zentimeter"), "cm"),
     **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
@@ -71,7 +75,7 @@ _SPELLED = {
     **dict.fromkeys(("millivolt", "millivolts", "mvolt"), "mV"),
     **dict.fromkeys(("amp", "amps", "ampere", "amperes"), "A"),
     **dict.fromkeys(("milliamp", "milliamps", "mamp"), "mA"),
-    **dict.fromkeys(("m/s2", "m/s²", "ms2", "m s2", "mps2"), "m/s^2"),
+    **dict.fromkeys(("m/s2", "m/s²", "ms2", "m s2", "mps2", "m s-2", "m s^-2"), "m/s^2"),
     **dict.fromkeys(("hertz",), "Hz"),
     **dict.fromkeys(("°c", "degc", "celsius", "deg c"), "deg C"),
     **dict.fromkeys(("newton", "newtons"), "N"),
@@ -84,7 +88,12 @@ _SPELLED = {
 }
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"mv": "mV", "ma": "mA"}
 BODY = set("bl bls bodylength bodylengths l".split()) | {"body length", "body lengths"}
-RARE = set("rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn".split())  # taken where a name says so, only
+BODY |= set("a.u. lsb dv rps".split())  # and other units whose factor is not certain
+PLAIN = set("day foot in min raw second tag".split())  # words beside which a name's brackets hold no unit
+_SCALE = re.compile(r"[*×/^]\s*[-+]?\d|\d\s*[*×/^]|\d[.,-]+\d|\d\s*e-?\d|\bx\s*\d|[°%π]", re.IGNORECASE)
+RARE = set(
+    "rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn mrad/s mdeg/s rev/s ft/s mph mg".split()
+)  # taken where a name says so, only
 LONG = ("min", "h", "day")  # of stamps; a name that ends with one means another thing as often
 TURNS_OF = ((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad"))  # by their wrap, asked
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
@@ -105,15 +114,19 @@ FLUTTER = 30.0  # a spread beyond is cm, mm or px
 def unit_of(text: str) -> str:
     """Unit that `text` spells, "" if it spells none."""
     text = text.strip()
-    lower = text.lower()
+    lower = re.sub(r"[\s.·*]+s\^?[-−⁻][1¹]\Z", "/s", text.lower())  # m s^-1
     return text if text in UNITS else _SPELLED.get(lower, "") or _LOWER.get(lower, "")
 
 
 def other_unit(text: str) -> str:
-    """Text in a name's brackets if it is a unit without a known factor (a multiple of a unit, a body length); else ""."""
+    """Text in a name's brackets if it is a unit without a known factor (deg*2, BL/s, -1..1); "" for a unit or plain words."""
     text = text.strip()
-    scaled = re.fullmatch(r"[x*]?\s*\d+(?:[.,]\d+)?(?:e-?\d+)?\s*[x*/]?\s*(\D+)", text, re.IGNORECASE)
-    return text if text.lower() in BODY or (scaled and unit_of(scaled[1])) else ""
+    if unit_of(text):
+        return ""
+    said = [word for word in re.findall(r"[^\W\d]+(?!\w)", text) if word.lower() not in PLAIN]  # 10deg, but not m1
+    known = any(word in ("m", "s", "V") or len(word) > 1 and (word.lower() in BODY or unit_of(word)) for word in said)
+    number = re.search(r"\d", text) and not re.search(r"[^\W\d]", text)
+    return text if known or number or text.lower() in BODY or _SCALE.search(text) else ""
 
 
 def measures(unit: str) -> str:

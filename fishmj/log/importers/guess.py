@@ -95,10 +95,10 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         if told == DATE:
             found = Role(("t",), "dates or times of day")
         if found.places and not np.isfinite(kind.values(column)).any() and not _of_a_joint(found.places):
-            found = Role(why="holds no number")
+            if not (found.places[0].startswith(("joint.", "pose.")) and kind.doubt(column)):
+                found = Role(why="holds no number")
         places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
-        other = f"{name.other} is no unit that is known: say one with a scale, such as m*0.3" if name.other and not told else ""
-        doubt = kind.doubt(column) or other
+        doubt = column_guess.doubt(kind, column, places[0])[0] if places else ""
         state = LEFT if not places else TAKEN if len(places) == 1 and not doubt else UNCLEAR
         out.append(Guess(k, column, state, places, told or name.unit, why=doubt or found.why))
     return out
@@ -124,6 +124,7 @@ def _silent(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     out = []
     for g, no in zip(guesses, dead, strict=True):
         lost = any((g.kind, _family(p)) in alive for p in g.places)
+        no = no and not found[g.kind].doubt(g.column)
         out.append(g if not no or g.said else g.unclear(why) if lost else g.left("holds no number"))
     return out
 
@@ -278,7 +279,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             if rare := [u for u in asked if u in column_units.RARE and column_units.measures(u) == what]:
                 fits = (*(column_units.likely(what) if what == "time" else ()), *rare)
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}", fits=fits))
-    return [g.unclear(kind.doubt(g.column)) if g.state == TAKEN and not g.said and kind.doubt(g.column) else g for g in out]
+    return [g if g.state == LEFT or g.said else column_guess.doubted(kind, g) for g in out]
 
 
 def _sensor(g: Guess, what: str) -> str:

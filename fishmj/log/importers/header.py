@@ -67,7 +67,10 @@ AXES = {"x", "y", "z"}
 TRANSLATION = {"tx": "x", "ty": "y", "tz": "z"}  # of the trajectories of TUM, as evo writes them
 ARRAY = (("value",), ("data",), ("values",), ("field", "data"))  # words for an element of an array
 _BRACKET = re.compile(r"(.*?)\s*[\[(<{]([^\])>}]*)[\])>}]\s*\Z", re.DOTALL)
-_RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m", "s2")}
+_SCALED = re.compile(
+    r"(.*[^\W_])[\W_]+(([^\W\d_]+?)[\W_]*(?:x[\s_]*10+|[*×/]\s*\d+))\s*\Z", re.DOTALL | re.IGNORECASE
+)  # _deg_x10
+_RATES = {("deg", "s"), ("rad", "s"), ("m", "s"), ("mm", "s"), ("cm", "s"), ("m", "s2"), ("ft", "s"), ("mrad", "s")}
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,12 @@ def parse(raw: str) -> Header:
     unit, other, name = "", "", raw
     found = _BRACKET.match(raw[:200])
     if found and not found[2].strip().isdecimal() and found[2].strip().lower() not in AXES:  # data[0], v_{x}: indices
-        name, unit, other = found[1], unit_of(found[2]) or time_unit(words(found[2])), other_unit(found[2])
+        first, _, then = found[2].partition(",")  # (deg, left)
+        name, unit = found[1], unit_of(found[2]) or time_unit(words(found[2]))
+        unit = unit or ("" if unit_of(then) or other_unit(then) else unit_of(first))
+        other = "" if unit else other_unit(found[2])
+    elif (found := _SCALED.match(raw[:200])) and unit_of(found[3]):
+        name, other = found[1], found[2]
     said = words(name) or words(raw)
     rest, mark, last = re.sub(r"[\s.\-]", "_", name.strip()).rpartition("_")
     if not unit and (early := time_unit(said)):

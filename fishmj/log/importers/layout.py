@@ -14,13 +14,14 @@ from fishmj.base.errors import LogError
 from fishmj.log.importers import motive
 from fishmj.log.importers.cells import BLANKS, is_number, is_value
 from fishmj.log.importers.column_units import other_unit, unit_of
-from fishmj.log.importers.header import TIME, words
+from fishmj.log.importers.header import AXES, COMMAND, HEADING, JOINT, MEASURED, SERVO, TIME, words
 from fishmj.log.limits import COLUMNS, quoted
 
 HEAD = 40  # lines that are looked at
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": "blanks"}
 _BLANK_CELL = re.compile(r'"([^"]*)"(?=\s|\Z)|(\S+)')
 _BRACKETS = "[](){}<>"
+NAMES = AXES | COMMAND | HEADING | JOINT | MEASURED | SERVO  # words that no unit begins with
 UNITLESS = ("-", "--", "\N{EN DASH}", "\N{EM DASH}", "n/a", "none", "counts", "ticks")  # of a column, in a row of units
 Lines = Sequence[tuple[int, str]]  # (number in the file, text)
 
@@ -188,6 +189,7 @@ def _units(cells: Sequence[str]) -> list[str]:
     units = [unit_of(cell) or other_unit(cell) for cell in bare]
     known = sum(map(bool, units))
     named = any(is_number(cell) or not TIME.isdisjoint(words(cell)) for cell in filled)  # t (s) is a name
+    named |= any(not NAMES.isdisjoint(words(cell)[:1]) for cell in filled)
     return units if known and 2 * known >= len(filled) and not named else []
 
 
