@@ -170,6 +170,11 @@ BAD = {
     "time of NaN": ("a.csv", table(row=lambda i: f"nan,{i},1"), "no column of time|holds no number|holds no"),
     "time stands still": ("a.csv", table(row=lambda i: "0,1,2"), "time stands still|it never rises"),
     "time goes back": ("a.csv", table(row=lambda i: f"{20 * (i * 7 % 60)},1,2"), "time goes back.*rows are out of order"),
+    "unpadded": (
+        "a.csv",
+        table("time_s,servo1_deg,servo2_deg", row=lambda i: f"{i // 50}.{20 * i % 1000},{i},2"),
+        r"unpadded \('0.20' for '0.020'\): write them with zeros",
+    ),
     "negative step": ("a.csv", table(row=lambda i: f"{-20 * i},1,2"), "time goes back"),
     "no time": ("a.csv", table("frame,servo1_deg,servo2_deg"), "no column of time among"),
     "only forces": ("a.csv", table("time_ms,fx,fy"), "a force or torque"),

@@ -228,6 +228,16 @@ def test_a_logger_that_began_again_is_split_and_not_sorted(tmp_path, bring):
     assert code == 2 and "log.csv:62:t_ms: time goes back" in err and "split the file there" in err and "Sort" not in err
 
 
+@pytest.mark.parametrize(
+    ("form", "every", "said"), [("d", 1, "Mend the file: fractions of a second"), ("03d", 7, "Sort the rows")]
+)
+def test_rows_are_not_sorted_where_fractions_lack_zeros(tmp_path, bring, form, every, said):
+    ms = [20 * (every * i % 120) for i in range(120)]
+    text = "time,servo1\n" + rows(lambda i: (f"10:00:{ms[i] // 1000:02}.{ms[i] % 1000:{form}}", f"{WAVE[i % 100]:.2f}"))
+    code, _, err = bring(file(tmp_path, text), "--yes", "--set", "time=t:date", "--set", "servo1=cmd.c1:rad")
+    assert code == 2 and said in err
+
+
 def test_times_of_day_on_both_sides_of_midnight_share_a_clock(tmp_path, bring):
     folder = tmp_path / "lab"
     folder.mkdir()

@@ -179,6 +179,8 @@ def named(values, name, **others):
             "says deg, but it stays within 0.2, as rad does",
             "yaw_deg=pose.yaw:rad",
         ),
+        (named((N / 60) % 1, "yaw", x_m=WAVE, y_m=WAVE), "wraps by 0.9833: rev?", "yaw=pose.yaw:rev"),
+        (named((N / 30) % 2 - 1, "yaw", x_m=WAVE, y_m=WAVE), "wraps by 1.967: rev*0.5?", "yaw=pose.yaw:rev*0.5"),
         (named((N / 9) % 6.28 - 3.14, "yaw_deg", x_m=WAVE, y_m=WAVE), "says deg, but it wraps by 6", "yaw_deg=pose.yaw:rad"),
         (
             named(1000 + 5 * N, "x_mm", y=0.6 + 0.01 * WAVE),

@@ -130,7 +130,10 @@ def test_steps_of_a_servo_are_no_failed_reads():
         (("pose", {"yaw": lambda v: v + np.pi}), "heading", "import", "a zero that is"),
         (("pose", {"yaw": np.degrees}), "heading", "import", 'unit = "deg"'),
         (("pose", {"yaw": lambda v: np.degrees(v - v.mean())}), "heading", "import", "yaw turns at"),
-        (("pose", {"x": lambda v: 100 * v, "y": lambda v: 100 * v}), "lost pose", "use", "the fish moves at 20 m/s"),
+        (("pose", {"yaw": lambda v: v / 2 / np.pi % 1}), "heading", "import", "is in turns. In the map give columns.yaw unit ="),
+        (("pose", {"yaw": lambda v: (v / np.pi + 1) % 2 - 1}), "heading", "import", 'unit = "rev" and scale = 0.5'),
+        (("pose", {"x": lambda v: np.where(np.arange(len(v)) > 300, v + 0.25, v)}), "lost pose", "use", "x jumps by 0.25 m"),
+        (("pose", {"x": lambda v: 100 * v, "y": lambda v: 100 * v}), "lost pose", "use", "the fish moves at 19.9 m/s"),
         (("pose", {"yaw": lambda v: -v, "y": lambda v: -v}), "handedness", "use", "picture is mirrored"),
         (("joint", {"j2": lambda v: -v}), "joint sign", "import", "columns.j2"),
         (("joint", {"j3": lambda v: 0 * v + 0.01}), "standing still", "use", "j3 stands still"),
@@ -148,7 +151,7 @@ def test_steps_of_a_servo_are_no_failed_reads():
 )
 def test_what_no_swimming_robot_does_is_told_with_its_remedy(change, check, level, said):
     table, columns = change
-    bad = changed(turning(), table, **columns)
+    bad = changed(turning(rate=0.4), table, **columns)
     assert levels(bad).get(check) == level and said in names(bad)[check], names(bad)
 
 

@@ -24,6 +24,11 @@ BEAT = 0.5  # rad/s, root mean square of the tail's rate from which a recoil is 
 OTHER = 0.4  # correlation of the opposite sign from which the sign is not told
 PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of them
 TURN = 0.5  # rad that a course must turn through before a heading's sense is told
+SCALES = {  # unit of a heading -> rad, least turn [rad] of the course that tells it from a current, line of a map
+    "degrees": (pi / 180, TURN, 'unit = "deg"'),
+    "half-turns": (pi, 4.0, 'unit = "rev" and scale = 0.5'),
+    "turns": (2 * pi, 4.0, 'unit = "rev"'),
+}
 CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
 FEWEST, MOSTLY = 8, 0.9  # courses; share of them within 60 deg of ahead, or of astern
 BEATS, SWING, ALIKE = 2.0, 0.02, 0.7  # of a wave; rad, deviation of its joints; how much of one joint's beat its neighbour shows
@@ -34,7 +39,7 @@ NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or
 
 
 def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    """Findings on course over ground against yaw: clockwise, offset, in degrees, of another body."""
+    """Findings on course over ground against yaw: clockwise, offset, in degrees or turns, of another body."""
     pose = trial.tables.get("pose", {})
     if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20 and bounds.course < pi:
         if len(rows := folds(pose)):
@@ -61,7 +66,6 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     begin, course, yaw = found
     turned = float(np.ptp(np.unwrap(course)))
     off, mirrored = _relation(course - yaw), _relation(course + yaw)
-    scaled = _relation(course - np.radians(yaw))
     mean = np.degrees(off[0])
     if turned > TURN:
         if mirrored[1] < CLEAR and mirrored[1] < off[1] / 3 and bounds.course < pi:
@@ -74,13 +78,16 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             )
             yield IMPORT, text
             return
-        if scaled[1] < CLEAR and scaled[1] < off[1] / 3 and np.ptp(yaw) > 10 * turned and bounds.course < pi:
-            text = (
-                f"pose: yaw turns by {np.ptp(yaw):.3g} while the course turns by {turned:.2g} rad: it is in degrees."
-                ' In the map give columns.yaw unit = "deg"'
-            )
-            yield IMPORT, text
-            return
+        for unit, (factor, least, line) in SCALES.items() if off[1] > CLEAR and bounds.course < pi else ():
+            _, _, scaled = _courses(trial, factor) or found
+            if _relation(course - scaled)[1] < min(CLEAR, off[1] / 3) and turned > least and np.ptp(scaled) > turned / 2:
+                text = (
+                    f"pose: yaw turns by {np.ptp(scaled) / factor:.3g} while the course turns by {turned:.2g} rad: it is in"
+                    f" {unit}. In the map give columns.yaw {line}; where a current carries the fish, state it as flow in [meta]"
+                    " or --flow"
+                )
+                yield IMPORT, text
+                return
         around = np.angle(np.exp(1j * course))
         for low, folded in ((0, np.abs(around)), (-90, np.arcsin(np.sin(around)))):
             alike, back = _relation(folded - yaw), float(np.mean(np.cos(folded - around) < 0.9))
@@ -305,8 +312,8 @@ def _phase_lags(trial: Trial, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.arctan2(across, along), np.hypot(across, along), moving + 1
 
 
-def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Starts [s] of stretches of `PACE` in which the fish swims, course through the water and mean yaw [rad] in each.
+def _courses(trial: Trial, factor: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Starts [s] of stretches of `PACE` in which the fish swims, course through the water and `factor` times mean yaw in each.
 
     None if there are few, or in an unknown stream.
     """
@@ -317,7 +324,7 @@ def _courses(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     if len(begin) < FEWEST:
         return None
     speed, bearing = _stream(trial)
-    t, yaw = np.asarray(pose["t"], float), np.unwrap(np.asarray(pose["yaw"], float))
+    t, yaw = np.asarray(pose["t"], float), np.unwrap(factor * np.asarray(pose["yaw"], float))
     total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
     vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
     mean = (np.interp(begin + PACE, t, total) - np.interp(begin, t, total)) / PACE

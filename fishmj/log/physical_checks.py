@@ -6,7 +6,7 @@ every threshold is a bound of `data/calib/plausible.toml` (with unit and source)
 command) passes.
 
     failed read     reading that leaves the joint's path and returns within a few rows: the servo did not answer
-    lost pose       pose that jumps away and comes back: the camera lost the fish, or took its tail for its head
+    lost pose       pose that jumps away and comes back: the camera lost the fish, or took its tail for its head; or that stays
     two sources     rows that alternate between two paths: two publishers on one topic
     joint speed     steps that no servo can follow
     standing still  commands move, the joint does not, in all of the trial or from some time on
@@ -14,7 +14,7 @@ command) passes.
     joint sign      a joint that runs against its command at every plausible delay
     joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
-    heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, in degrees, of another body; folded
+    heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, its unit, of another body; folded
     handedness      the head recoils against the tail's swing, at its beat; a picture in a mirror shows it swing along
     wave            the body wave of a fish that swims ahead runs to its tail
     stride          way of a beat over the body's length, where that is known: the scale of the positions
@@ -59,6 +59,7 @@ from fishmj.log.unread_rows import (
     is_logged,
     is_sound,
     joints,
+    leaps,
     lost_poses,
     speeds,
 )
@@ -153,15 +154,25 @@ def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             " y in cm, or in px? State their unit or scale in the map",
         )
     lost, _ = lost_poses(pose, bounds)
-    t, yaw = (np.asarray(pose[name], float)[~lost] for name in ("t", "yaw"))
+    t, x, y, yaw = (np.asarray(pose[name], float)[~lost] for name in ("t", "x", "y", "yaw"))
+    few = max(4, len(t) / 50)
     turn = np.abs(np.angle(np.exp(1j * np.diff(yaw))))
     rows = np.flatnonzero((turn > 1.5) & (turn > bounds.rate * np.diff(t)))
-    if not len(folds(pose)) and 0 < len(rows) < max(4, len(t) / 50):
+    if not len(folds(pose)) and 0 < len(rows) < few:
         yield (
             USE,
             f"pose: yaw jumps by {np.degrees(turn[rows[0]]):.0f} deg at t = {t[rows[0] + 1]:.3f} s ({len(rows)} such rows) and"
             " stays there: did the tracker take the tail for the head? Split the file there",
         )
+    for name, step in (("x", np.abs(np.diff(x))), ("y", np.abs(np.diff(y)))):
+        rows = leaps(name, t, step, bounds)
+        if 0 < len(rows) < few:
+            yield (
+                USE,
+                f"pose: {name} jumps by {step[rows[0]]:.2g} m at t = {t[rows[0] + 1]:.3f} s ({len(rows)} such rows) and stays"
+                " there: was the fish moved, or is it a second run? Split the log there",
+            )
+            break
 
 
 def _two_sources(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:

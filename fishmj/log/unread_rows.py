@@ -45,8 +45,7 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
     for k, name in enumerate(LEAP):
         size = np.abs(steps[k])
         usual = float(np.median(size[size > 0])) if size.any() else 0.0
-        limit = bounds.rate if name == "yaw" else bounds.leap
-        jumps = np.flatnonzero((size > max(LEAP[name], 10 * usual)) & (size > limit * np.diff(t)))
+        jumps = leaps(name, t, size, bounds)
         ends = [-1, *jumps, len(t) - 1] if len(jumps) else []
         rows = np.zeros(len(t), bool)
         for i, j in pairwise(ends):
@@ -63,6 +62,13 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
             bad |= rows
     return bad, [f"pose: {int(bad.sum())} of {len(t)} rows left out, the fish was lost in {'; '.join(seen)}"] if seen else []
+
+
+def leaps(name: str, t: np.ndarray, size: np.ndarray, bounds: Plausible) -> np.ndarray:
+    """Rows of `pose` after which x, y or yaw steps, by `size`, faster than a fish and ten times as far as usual."""
+    usual = float(np.median(size[size > 0])) if size.any() else 0.0
+    limit = bounds.rate if name == "yaw" else bounds.leap
+    return np.flatnonzero((size > max(LEAP[name], 10 * usual)) & (size > limit * np.diff(t)))
 
 
 def _filled_in(steps: np.ndarray, least: float) -> np.ndarray:

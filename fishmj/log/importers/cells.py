@@ -201,6 +201,28 @@ def frame_doubt(seconds: np.ndarray) -> str:
     )
 
 
+def may_lack_zeros(values: np.ndarray) -> bool:
+    """Returns True for a column that falls at times and has no fraction below 0.1, as `1.8` for 1.008."""
+    v = values[np.isfinite(values)]
+    part = np.round(v % 1, 6)
+    return bool(
+        np.any(np.diff(v) < 0) and np.any(np.abs(10 * part - np.round(10 * part)) > 1e-4) and np.all((part == 0) | (part >= 0.1))
+    )
+
+
+def unpadded(texts: Sequence[str]) -> str:
+    """The first fraction that lacks zeros, as of printf("%d.%d", s, ms), and its cure; "" unless with zeros the column rises."""
+    cut = [found for text in texts if (found := re.fullmatch(r"(.*\d)[.,](\d+)", text, re.ASCII))]
+    whole = [read(found[1]) for found in cut]
+    digits = max((len(found[2]) for found in cut), default=0)
+    short = [found for found in cut if len(found[2]) < digits and int(found[2])]
+    if len(cut) < len(texts) or not all(whole) or not short:
+        return ""
+    t = [cell.first + int(found[2]) / 10**digits for cell, found in zip(whole, cut, strict=True) if cell]
+    told = f"{quoted(short[0][0])} for {quoted(f'{short[0][1]}.{short[0][2]:0>{digits}}')}"
+    return f"fractions of a second look unpadded ({told}): write them with zeros" if np.all(np.diff(t) > -1e-6) else ""
+
+
 def may_hide_thousands(values: np.ndarray) -> bool:
     """Returns True for a column in which `1.020` may follow `980`: whole numbers beside numbers of three decimals beyond 1."""
     v = values[np.isfinite(values)]

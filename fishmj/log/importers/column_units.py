@@ -95,7 +95,10 @@ RARE = set(
     "rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn mrad/s mdeg/s rev/s ft/s mph mg".split()
 )  # taken where a name says so, only
 LONG = ("min", "h", "day")  # of stamps; a name that ends with one means another thing as often
-TURNS_OF = ((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad"))  # by their wrap, asked
+TURNS_OF = (  # by their wrap, asked
+    *((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad")),
+    *((1.0, "rev"), (2.0, "rev*0.5")),
+)
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 130.0  # deg; a joint beyond is counted in ticks, or from its servo's end
@@ -223,6 +226,9 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
         return "deg", f"wraps by {jump:.3g}"
     for turn, unit in TURNS_OF:
         if 0.9 * turn < jump <= 1.003 * turn and np.ptp(values) <= 1.003 * turn:
+            ends = float(values.max() + values.min()) / turn  # 1 from zero to a turn, 0 to half a turn on either side
+            if min(abs(ends), abs(ends - 1)) > 0.1:
+                continue
             return "", f"wraps by {jump:.4g}: {unit}?"
     if most == 0:
         return "rad", "all zero"

@@ -373,7 +373,9 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: St
         return np.flatnonzero(~behind), [f"{table}: {text}; {repeats} of {len(t)} rows with the stamp of the row before left out"]
     if stray.sum() > max(1, STRAY * len(t)) or len(t) - stray.sum() < 2:
         often = int(np.sum(np.diff(t) < 0))
-        if repeats > 0.5 * len(t):
+        if doubt := sheet.doubts.get(stamp.column):
+            advice = f"Mend the file: {doubt}"
+        elif repeats > 0.5 * len(t):
             advice = "The stamps are coarser than the rate; name another column of time"
         elif often <= FEW:
             advice = "The clock was set or the logger began again: split the file there, or name another column of time"

@@ -275,6 +275,9 @@ class _Reader:
             if column in columns and count > BAD_ROWS * len(self.lines) and _QUANTITY.fullmatch(self.text[column])
         }
         doubts |= {column: doubt for column in self.dates if (doubt := cells.frame_doubt(columns.get(column, np.zeros(0))))}
+        for column in (c for c, values in columns.items() if c in self.layout.names and cells.may_lack_zeros(values)):
+            if doubt := cells.unpadded([self._cell_of(line, column) for line in self._lines_again()]):
+                doubts[column] = doubt
         units = {**self.layout.units, **dict.fromkeys(self.dates, DATE)}
         units = {column: unit for column, unit in units.items() if column in columns}
         return Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts)

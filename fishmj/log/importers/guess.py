@@ -276,7 +276,9 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             state = UNCLEAR if not unit else g.state
             fits = ("deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
             asked = re.split(r"[ ?]", why) if what in ("time", "angle") else []
-            if rare := [u for u in asked if u in column_units.RARE and column_units.measures(u) == what]:
+            if rare := [
+                u for u in asked if (one := u.partition("*")[0]) in column_units.RARE and column_units.measures(one) == what
+            ]:
                 fits = (*(column_units.likely(what) if what == "time" else ()), *rare)
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}", fits=fits))
     return [g if g.state == LEFT or g.said else column_guess.doubted(kind, g) for g in out]
