@@ -345,7 +345,6 @@ lbm_oracle speeds --frequencies 0 | --frequencies
 lbm_oracle speeds --slips 1 1 | twice
 lbm_oracle swim --preset latop | Did you mean 'laptop'
 lbm_oracle swim --kernel 5 | --kernel
-lbm_oracle swim --seconds 0.005 | shorter than a bus tick
 lbm_oracle swim --slice top | mid
 lbm_oracle swim --slice nan | mid
 lbm_oracle swim --pose 0 0 | --pose

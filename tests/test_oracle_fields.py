@@ -143,12 +143,14 @@ def test_ctrl_c_ends_the_run_between_two_ticks_and_keeps_everything(tmp_path, mo
     assert sent[1][0] == pytest.approx(2 * sent[0][-1] - sent[0][-2], abs=0.01) and abs(sent[0][-1]) > 0.02  # in the gait's phase
 
 
-def test_a_gait_that_the_commands_cannot_show_is_refused(tmp_path):
+def test_a_gait_that_the_commands_cannot_show_and_less_than_a_tick_are_refused(tmp_path):
     robot = tmp_path / "slow.toml"
     text = (calib_folder() / "fish.toml").read_text(encoding="utf-8")
     robot.write_text(text.replace("bus_dt = 0.02", "bus_dt = 0.1"), encoding="utf-8")
     with pytest.raises(ConfigError, match="--frequency 10 Hz, but commands of swift leave every 0.1 s, .* 5 Hz at most"):
         swim.main([*CPU, "--robot", str(robot), "--frequency", "10", "--seconds", "1"])
+    with pytest.raises(ConfigError, match="0.005 s is shorter than a bus tick of swift, 0.02 s"):
+        swim.main([*CPU, "--seconds", "0.005"])
 
 
 def test_a_full_disk_stops_the_fields_with_the_reason_and_keeps_the_trial(tmp_path, monkeypatch):
