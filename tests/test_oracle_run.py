@@ -181,7 +181,7 @@ def test_a_tick_that_diverges_with_the_grids_steps_is_repeated(monkeypatch):
 @pytest.mark.parametrize("limit", ["speed", "density", "mass"])
 @pytest.mark.parametrize("fast", [True, False])
 def test_water_is_judged_before_the_next_tick_whatever_the_fish_does(monkeypatch, limit, fast):
-    """Of water that ended too fast or too dense for its steps the next tick has finer ones, also of a slow fish."""
+    """The tick after water that was too fast or too dense has finer steps, even if the fish is slow."""
     monkeypatch.setattr(Run, "limit", 0.3 if fast else 10.0)
     run = Run(pond("cpu"), prescribed=Gait(ramp=0.2))
     while run.ticks < (9 if fast else 4):

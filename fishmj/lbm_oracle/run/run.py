@@ -273,11 +273,11 @@ class Run:
         return done
 
     def _judged(self, least: int) -> int:
-        """Least factor of this tick after a look at the survey of the last one's end.
+        """Judges the survey at the end of the last tick; returns the least factor of this tick.
 
-        Water that ended too fast or too dense for that tick's steps, faster than any marker, needs finer ones.
+        Water that was too fast or too dense needs finer steps than the last tick had.
 
-        Raises OracleUnstable: that was not the cause, or its steps were the finest.
+        Raises OracleUnstable: the water failed in another way, or the last tick had the finest steps.
         """
         self.coupled.wait_for_water()
         try:

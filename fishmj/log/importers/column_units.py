@@ -61,9 +61,7 @@ _SPELLED = {
     **dict.fromkeys(("revs", "turn", "turns"), "rev"),
     **dict.fromkeys(("radps", "rad s", "rad/sec", "rads/s"), "rad/s"),
     **dict.fromkeys(("dps", "degps", "deg s", "deg/sec", "°/s", "degrees/s"), "deg/s"),
-    **dict.fromkeys(("mrad s",), "mrad/s"),
-    **dict.fromkeys(("mdps",), "mdeg/s"),
-    **dict.fromkeys(("ft s",), "ft/s"),
+    **{"mrad s": "mrad/s", "mdps": "mdeg/s", "ft s": "ft/s"},
     **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
     **dict.fromkeys(("centimetre", "centimetres", "centimeter", "centimeters", "zentimeter"), "cm"),
     **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
@@ -95,10 +93,8 @@ RARE = set(
     "rev mrad min rpm g cs h day mdeg cdeg gon um dm km in ft km/h kn mrad/s mdeg/s rev/s ft/s mph mg".split()
 )  # taken where a name says so, only
 LONG = ("min", "h", "day")  # of stamps; a name that ends with one means another thing as often
-TURNS_OF = (  # by their wrap, asked
-    *((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad")),
-    *((1.0, "rev"), (2.0, "rev*0.5")),
-)
+# a full turn in each unit; a heading that wraps by it is asked about
+TURNS_OF = ((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad"), (1.0, "rev"), (2.0, "rev*0.5"))
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 130.0  # deg; a joint beyond is counted in ticks, or from its servo's end

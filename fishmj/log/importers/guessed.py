@@ -72,10 +72,10 @@ def _nothing(guesses: Sequence[Guess], where: str) -> str:
 
 def choices(g: Guess) -> str:
     """Values of --set for an unclear column."""
-    table, _, column = g.place.partition(".")
-    what = "time" if g.place == "t" else measured(table, column)
     if g.fits == ("skip",):
         return "skip"
+    table, _, column = g.place.partition(".")
+    what = "time" if g.place == "t" else measured(table, column)
     units = g.fits or ([g.unit] if g.unit else likely(what))
     options = [f"{place}:{unit}" if unit else place for place in g.places for unit in units or [""]]
     return " or ".join(f"{o}*SCALE" if o.endswith(":px") else o for o in options)
