@@ -44,7 +44,6 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
     bad, seen = none.copy(), []
     for k, name in enumerate(LEAP):
         size = np.abs(steps[k])
-        usual = float(np.median(size[size > 0])) if size.any() else 0.0
         jumps = leaps(name, t, size, bounds)
         ends = [-1, *jumps, len(t) - 1] if len(jumps) else []
         rows = np.zeros(len(t), bool)
@@ -56,7 +55,7 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
                 rows[i + 1 : j + 1] = apart < 0.3 * min(size[i], size[j])
             if still[i + 1] == still[j] and j - i >= 2:
                 rows[i + 1 : j + 1] = True
-        rows |= _filled_in(steps, max(FILLED, 10 * usual)) if name == "yaw" else False
+        rows |= _filled_in(steps, max(FILLED, 10 * _usual(size))) if name == "yaw" else False
         if rows.any() and rows.mean() < 0.5:
             first = int(np.argmax(rows))
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
@@ -66,9 +65,13 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
 
 def leaps(name: str, t: np.ndarray, size: np.ndarray, bounds: Plausible) -> np.ndarray:
     """Rows of `pose` after which x, y or yaw steps, by `size`, faster than a fish and ten times as far as usual."""
-    usual = float(np.median(size[size > 0])) if size.any() else 0.0
     limit = bounds.rate if name == "yaw" else bounds.leap
-    return np.flatnonzero((size > max(LEAP[name], 10 * usual)) & (size > limit * np.diff(t)))
+    return np.flatnonzero((size > max(LEAP[name], 10 * _usual(size))) & (size > limit * np.diff(t)))
+
+
+def _usual(size: np.ndarray) -> float:
+    """Median of the steps that are not zero; 0 without one."""
+    return float(np.median(size[size > 0])) if size.any() else 0.0
 
 
 def _filled_in(steps: np.ndarray, least: float) -> np.ndarray:

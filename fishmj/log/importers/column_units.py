@@ -85,8 +85,8 @@ _SPELLED = {
     **dict.fromkeys(("ticks", "tick", "counts", "raw"), "count"),
 }
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("mV", "mA")} | {"mv": "mV", "ma": "mA"}
-BODY = set("bl bls bodylength bodylengths l".split()) | {"body length", "body lengths"}
-BODY |= set("a.u. lsb dv rps".split())  # and other units whose factor is not certain
+# units whose factor is not certain: body lengths, a servo's counts, decivolts or a change of voltage, turns or rad a second
+UNCERTAIN = set("bl bls bodylength bodylengths l a.u. lsb dv rps".split()) | {"body length", "body lengths"}
 PLAIN = set("day foot in min raw second tag".split())  # words beside which a name's brackets hold no unit
 _SCALE = re.compile(r"[*×/^]\s*[-+]?\d|\d\s*[*×/^]|\d[.,-]+\d|\d\s*e-?\d|\bx\s*\d|[°%π]", re.IGNORECASE)
 RARE = set(
@@ -123,9 +123,9 @@ def other_unit(text: str) -> str:
     if unit_of(text):
         return ""
     said = [word for word in re.findall(r"[^\W\d]+(?!\w)", text) if word.lower() not in PLAIN]  # 10deg, but not m1
-    known = any(word in ("m", "s", "V") or len(word) > 1 and (word.lower() in BODY or unit_of(word)) for word in said)
+    known = any(word in ("m", "s", "V") or len(word) > 1 and (word.lower() in UNCERTAIN or unit_of(word)) for word in said)
     number = re.search(r"\d", text) and not re.search(r"[^\W\d]", text)
-    return text if known or number or text.lower() in BODY or _SCALE.search(text) else ""
+    return text if known or number or text.lower() in UNCERTAIN or _SCALE.search(text) else ""
 
 
 def measures(unit: str) -> str:
