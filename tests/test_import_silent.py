@@ -228,7 +228,7 @@ def test_joints_that_jump_or_change_their_gait_are_not_taken_for_exchanged():
 def test_two_fish_with_the_same_stamps_are_refused_and_repeated_rows_are_not(tmp_path, bring):
     twice = np.repeat(T, 2)
     fish = np.ravel([0.1 * T, 2 - 0.1 * T], "F")
-    columns = {"time_s": twice, "fish": np.tile([1.0, 2.0], len(N)), "x_m": fish, "y_m": 0 * fish, "yaw_deg": 0 * fish}
+    columns = {"time_s": twice, "sensor": np.tile([1.0, 2.0], len(N)), "x_m": fish, "y_m": 0 * fish, "yaw_deg": 0 * fish}
     code, _, err = bring(lab_files.write(tmp_path / "log.csv", columns), "--yes")
     assert code == 2 and "100 of 200 rows have the stamp of the row before" in err
     columns["x_m"] = 0.05 * 0.02 * np.arange(2 * len(N))  # one fish, stamps coarser than the rate

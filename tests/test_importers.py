@@ -225,7 +225,7 @@ def test_a_column_that_counts_trials_is_no_one_trial(restarts, tmp_path, capsys,
     both = {name: np.concatenate([values, values + (2.6 if name == "t" and not restarts else 0)]) for name, values in one.items()}
     file = lab_files.write(tmp_path / "in" / "both.csv", both | {"Trial no": np.repeat([3, 4], lab_files.ROWS)})
     code, _, err = bring(file, "--yes")
-    assert code == 2 and "column 'Trial no' changes 1 times, from 3 to 4: several trials in one file; write a file" in err, err
+    assert code == 2 and "column 'Trial no' holds 2 values (3, 4): several trials or robots in one file; write a file" in err, err
     assert "--set 'Trial no'=skip to read them as one" in err
     if not restarts:
         assert bring(file, "--yes", "--set", "Trial no=skip")[0] == 0

@@ -50,6 +50,7 @@ from fishmj.log.course import (
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.log.unread_rows import (
+    MANY,
     OFTEN,
     UNREAD,
     failed_rows,
@@ -60,6 +61,7 @@ from fishmj.log.unread_rows import (
     is_sound,
     joints,
     leaps,
+    left_out,
     lost_poses,
     speeds,
 )
@@ -109,12 +111,21 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     scale = PhysicalCheck("stride", about, "stride", partial(stride, length=length))
     checks = (*CHECKS, scale) if length else CHECKS
     wanted = set(only) or {check.name for check in checks}
+    seen = _without_lost(trial, bounds)
     return [
         PhysicalFinding(check.name, level, f"{text}; if it is right, allow it with {check.bound} in [plausible] of meta.toml")
         for check in checks
         if check.name in wanted
-        for level, text in check.find(trial, bounds)
+        for level, text in check.find(trial if check.find is _lost_poses else seen, bounds)
     ]
+
+
+def _without_lost(trial: Trial, bounds: Plausible) -> Trial:
+    """The trial without the rows of its lost poses, where these are many."""
+    if "pose" not in trial.tables or not (lost := lost_poses(trial.tables["pose"], bounds)[0]).mean() > MANY:
+        return trial
+    pose = {column: np.asarray(values)[~lost] for column, values in trial.tables["pose"].items()}
+    return replace(trial, tables={**trial.tables, "pose": pose})
 
 
 def without_failed_reads(trial: Trial) -> tuple[Trial, list[str]]:
@@ -122,7 +133,7 @@ def without_failed_reads(trial: Trial) -> tuple[Trial, list[str]]:
     bounds = bounds_of(trial.meta, trial.name or "trial")
     tables, notes = dict(trial.tables), []
     for name in (name for name in UNREAD if name in tables):
-        bad, told = UNREAD[name](tables[name], bounds)
+        bad, told = left_out(name, tables[name], bounds)
         if bad.any():
             tables[name] = {column: np.asarray(values)[~bad] for column, values in tables[name].items()}
             notes += told
@@ -142,7 +153,10 @@ def _failed_reads(trial: Trial, bounds: Plausible, name: str = "joint") -> Itera
 
 
 def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    yield from _failed_reads(trial, bounds, "pose")
+    for level, text in _failed_reads(trial, bounds, "pose"):
+        share = float(np.mean(lost_poses(trial.tables["pose"], bounds)[0]))
+        why = f"; that is {100 * share:.0f} % of all: are two fish in one file? Split it, or leave the cells of lost poses blank"
+        yield level, text + (why if share > MANY else "")
     pose = trial.tables.get("pose", {})
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return

@@ -322,6 +322,14 @@ def _check_units(kind: str, column: str, values: np.ndarray, t: np.ndarray, plac
 def _check_supply(column: str, values: np.ndarray, place: Place, bounds: Plausible) -> None:
     """Checks a supply by its usual value; a supply that is off, or an inrush, says nothing about the unit."""
     value, (low, high) = usual(values), bounds.span(_SUPPLY[column])
+    below = int(np.sum(values < 0))
+    if column == "V" and 2 * below > np.count_nonzero(values):
+        first = int(np.argmax(values < 0))
+        raise LogError(
+            f"{place(first, column)}: column {column!r}: {values[first]:g} V, and negative in {below} of {len(values)} rows; a"
+            " supply's voltage is positive: is there no sensor? Leave the column out (--set COLUMN=skip on import), or give it"
+            " sign = -1 in a map"
+        )
     if value and not low <= value <= high:
         si = _BOUNDS[_SUPPLY[column]][1]
         looks, fix = (f"k{si}", "Multiply") if value < low else (f"m{si}", "Divide")

@@ -11,6 +11,7 @@ from fishmj.log.trial import GAP, Table, repeats, table_spec
 from fishmj.log.trial_check import Plausible
 
 SHORT, OFTEN = 5, 3  # rows of one failed read at most; times that the same value must come back
+MANY = 0.25  # share of lost poses beyond which the user decides on them
 LOST = 1.0  # s of a pose that is elsewhere and comes back, at most
 REPEATS, SLOWER, SPREAD, ALIKE = 20, 0.3, 1.2, 0.95  # runs; share of repeated rows; rows from their mean; share of runs
 LONG = 5  # usual runs, which are a rest
@@ -56,7 +57,8 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
             if still[i + 1] == still[j] and j - i >= 2:
                 rows[i + 1 : j + 1] = True
         rows |= _filled_in(steps, max(FILLED, 10 * _usual(size))) if name == "yaw" else False
-        if rows.any() and rows.mean() < 0.5:
+        rows = rows if rows.mean() <= 0.5 else ~rows  # a log that begins with a lost pose
+        if rows.any():
             first = int(np.argmax(rows))
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
             bad |= rows
@@ -162,6 +164,12 @@ def fresh_rows(table: str, columns: Table) -> tuple[np.ndarray, list[str]]:
 
 
 UNREAD = {"joint": failed_reads, "pose": lost_poses}  # table -> rows that hold no measurement
+
+
+def left_out(name: str, table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
+    """(T,) bool rows of `joint` or `pose` to leave out, and notes; none where so many poses are lost that the user decides."""
+    bad, notes = UNREAD[name](table, bounds)
+    return (bad, notes) if name != "pose" or not bad.mean() > MANY else (np.zeros(len(bad), bool), [])
 
 
 def joints(table: Table, letter: str = "j") -> list[str]:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from fishmj.log.importers import header
+from fishmj.log.importers.cells import TIME_CODE
 from fishmj.log.importers.column_map import measured
-from fishmj.log.importers.column_units import SI
+from fishmj.log.importers.column_units import SI, unit_of
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import quoted
 
@@ -71,7 +72,9 @@ class FileKind:
         """Reason from the file that the user must decide on a column; "" without one."""
         text = next((sheet.text[column] for sheet in self.sheets if column in sheet.text), "")
         if re.search(r"\d", text) and not np.isfinite(self.values(column)).any():
-            return f"{TEXT}, such as {quoted(text)}: write plain numbers, or leave it out"
+            unit = unit_of(text.lstrip("+-.,0123456789 "))
+            named = f" and their unit, {unit}, in its name" if unit and not header.parse(column).unit else ""
+            return f"{TEXT}, such as {quoted(text)}: write plain numbers{named}, or leave it out"
         return next((sheet.doubts[column] for sheet in self.sheets if column in sheet.doubts), "")
 
     def values(self, column: str) -> np.ndarray:
@@ -121,6 +124,15 @@ def stamps(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     return out
 
 
+def lost_time(kind: FileKind) -> str:
+    """Reason that the column of a file which is called a time holds none; "" without such a column."""
+    lost = next((c for c in kind.columns if header.role(header.parse(c), set()).places == ("t",)), "")
+    cell = kind.sheets[0].text.get(lost, "")
+    what = f"frames, {cell}: write seconds, s + frame / frames a second" if TIME_CODE.fullmatch(cell) else "no number"
+    such = f", such as {quoted(cell)}" if cell and what == "no number" else ""
+    return f"{quoted(lost)} holds {what}{such}" if lost else ""
+
+
 def _rises(values: np.ndarray) -> bool:
     step = np.diff(values)
     return len(step) > 0 and bool((step >= 0).all()) and 2 * int((step > 0).sum()) > len(step)
@@ -150,7 +162,8 @@ def off_centre(guesses: list[Guess]) -> list[Guess]:
 def without_holes(guesses: list[Guess], mine: list[int], template: str) -> list[Guess]:
     """Asks about the joints `mine` whose numbers, with those that the user said, do not count from 1: identities on a bus."""
     out, size, numbers = list(guesses), len(template), {i: int(guesses[i].place[len(template) :]) for i in mine}
-    said = [int(g.place[size:]) for g in guesses if g.said and g.place.startswith(template) and g.place[size:].isdecimal()]
+    held = [g for g in guesses if g.said or (g.state == UNCLEAR and len(g.places) == 1)]  # the place of an unclear one is known
+    said = [int(g.place[size:]) for g in held if g.place.startswith(template) and g.place[size:].isdecimal()]
     many = len(mine) + len(said)
     if sorted([*numbers.values(), *said]) == list(range(1, many + 1)) or len(set(numbers.values())) < len(mine):
         return out

@@ -115,6 +115,7 @@ class Stamp(_Strict):
     scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0  # s a frame
     nanoseconds: str | None = None  # a second column that is added, as ROS writes them
     microseconds: str | None = None  # the same, as a struct timeval has them
+    milliseconds: str | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -135,7 +136,8 @@ class Stamp(_Strict):
     @property
     def parts(self) -> dict[str, float]:
         """Columns that are added to the stamp, with the seconds of one count."""
-        return {c: size for c, size in ((self.nanoseconds, 1e-9), (self.microseconds, 1e-6)) if c}
+        sizes = ((self.nanoseconds, 1e-9), (self.microseconds, 1e-6), (self.milliseconds, 1e-3))
+        return {c: size for c, size in sizes if c}
 
 
 class TableMap(_Strict):

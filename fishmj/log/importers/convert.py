@@ -12,7 +12,7 @@ import numpy as np
 from fishmj.base.errors import LogError
 from fishmj.log import toml
 from fishmj.log.clock_alignment import in_common
-from fishmj.log.importers import header, joint_switches
+from fishmj.log.importers import header, joint_switches, table_forms
 from fishmj.log.importers.cells import frame_doubt
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
 from fishmj.log.importers.column_units import SI, clocks_apart, fitting, time_unit
@@ -33,8 +33,6 @@ STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
 EVEN = 10  # rows on either side of a step back that tell a clock that was set
 SWIM = ("cmd", "joint", "pose", "imu", "velocity", "markers")  # tables that are of one swim
-SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
-ROWS = 10  # of a trial at least, on average; a column that changes more often counts something else
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
 
 
@@ -104,14 +102,11 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
 
 
 def _refuse_several(sheet: Sheet, unused: Sequence[str]) -> None:
-    """Raises LogError if a column of a file counts several trials, which would be one with jumps between them."""
-    for column in (one for one in unused if SEVERAL.intersection(header.words(one))):
-        values = sheet.columns[column][np.isfinite(sheet.columns[column])]
-        steps = np.count_nonzero(np.diff(values))
-        if 0 < steps * ROWS < len(values):
-            changes = f"column {quoted(column)} changes {steps} times, from {values[0]:g} to {values[-1]:g}"
-            todo = f"write a file for each, or --set {typed(column)}=skip to read them as one"
-            raise LogError(f"{sheet.where}: {changes}: several trials in one file; {todo}")
+    """Raises LogError if a column of a file tells several trials or robots apart, which would be one with jumps between them."""
+    for column in unused:
+        values = sheet.columns[column]
+        if told := sheet.apart.get(column) or table_forms.several(column, values[np.isfinite(values)].tolist()):
+            raise LogError(f"{sheet.where}: {told}")
 
 
 def _sources(entry: TableMap) -> list[str]:
@@ -307,6 +302,8 @@ def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
     if dated and stamp.unit != DATE and (doubt := frame_doubt(raw)):
         raise LogError(f"{sheet.place(0, stamp.column)}: {doubt}")
+    if not dated and (told := table_forms.clock_digits(raw)):
+        raise LogError(f"{sheet.place(told[0], stamp.column)}: {told[1]}")
     t = raw * (1.0 if dated else stamp.factor)
     for column, size in stamp.parts.items():
         t = t + size * sheet.columns[column]
@@ -377,6 +374,8 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: St
             advice = f"Mend the file: {doubt}"
         elif repeats > 0.5 * len(t):
             advice = "The stamps are coarser than the rate; name another column of time"
+        elif often == len(t) - 1:
+            advice = "The newest row comes first: reverse the rows"
         elif often <= FEW:
             advice = "The clock was set or the logger began again: split the file there, or name another column of time"
         else:

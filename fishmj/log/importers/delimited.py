@@ -10,6 +10,7 @@ import sys
 from array import array
 from bisect import bisect_left
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import NoReturn
@@ -18,7 +19,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import LogError
-from fishmj.log.importers import cells, header, joint_names, layout, motive
+from fishmj.log.importers import cells, header, joint_names, layout, motive, table_forms
 from fishmj.log.importers.cells import CellReading
 from fishmj.log.importers.layout import HEAD
 from fishmj.log.importers.sheet import DATE, Sheet, checked
@@ -128,6 +129,8 @@ def _read(path: Path, lines: Iterator[tuple[int, str]], notes: list[str], carefu
                 break
     if not head:
         raise LogError(f"{path}:1:1: no rows, only comments or blank lines; record it again or remove it")
+    if told := table_forms.pairs([line for _, line in head]):
+        raise LogError(f"{path}:{head[0][0]}:1: {told}")
     arrows = all(_ARROW.match(line) for _, line in head)
     plain = [(number, _ARROW.sub("", line, count=1)) for number, line in head] if arrows else head
     found = layout.find(path, plain, comment, said)
@@ -152,7 +155,8 @@ class _Reader:
         self.values, self.seconds, self.lines = array("d"), array("d"), array("q")
         self.odd: list[tuple[int, int]] = []  # (line, fields) of rows of another length
         self.text: dict[str, str] = {}
-        self.joints: dict[str, list[str]] = {name: [] for name in self.names if joint_names.holds_names(name)}
+        kept = {name for name in self.names if joint_names.holds_names(name, self.names) or table_forms.may_tell_apart(name)}
+        self.joints: dict[str, list[str]] = {name: [] for name in self.names if name in kept}
         self.counts = dict.fromkeys(self.names, 0)  # of cells that are text
         self.dates: dict[str, None] = {}
         self.grouped = False
@@ -260,7 +264,12 @@ class _Reader:
                     self._refuse_two(column, int(self.lines[row]))
         marks = f"{name}: marks between thousands left out"
         notes += [marks] if self.grouped and marks not in notes else []
-        named = {column: told for column, told in self.joints.items() if self.counts[column] or column.lower().endswith("id")}
+        told_apart = {c: table_forms.several(c, [t for t in told if t]) for c, told in self.joints.items() if self.counts[c]}
+        named = {
+            column: told
+            for column, told in self.joints.items()
+            if joint_names.holds_names(column, self.names) and (self.counts[column] or column.lower().endswith("id"))
+        }
         columns = joint_names.by_name(str(self.path), columns, named)
         for column, count in self.counts.items():
             if column in columns and count and np.isfinite(columns[column]).any():
@@ -280,7 +289,8 @@ class _Reader:
                 doubts[column] = doubt
         units = {**self.layout.units, **dict.fromkeys(self.dates, DATE)}
         units = {column: unit for column, unit in units.items() if column in columns}
-        return Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts)
+        sheet = Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts)
+        return replace(sheet, apart={column: told for column, told in told_apart.items() if told})
 
     def _columns(self, values: array) -> Table:
         both = np.array(values, float).reshape(len(self.lines), len(self.names))

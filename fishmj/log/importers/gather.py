@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fishmj.base import console, names
 from fishmj.base.errors import FishmjError, LogError, UsageError
-from fishmj.log.importers import delimited, guess, mcap, message_recordings, other_files, rosbag2
+from fishmj.log.importers import delimited, guess, mcap, message_recordings, other_files, rosbag2, table_forms
 from fishmj.log.importers.quaternion import with_headings
 from fishmj.log.importers.sheet import NPZ, PARQUET, TORCH, Sheet, read_parquet, read_tables
 from fishmj.log.limits import bare, most_bytes, quoted, regular
@@ -105,6 +105,10 @@ class FileCache:
 
 def read_sheets(path: Path) -> list[Sheet]:
     """Sheets of one foreign file: one of a table, one a topic of a recording."""
+    return [table_forms.looked_at(sheet) for sheet in _read_sheets(path)]
+
+
+def _read_sheets(path: Path) -> list[Sheet]:
     if is_recording(path):
         found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
         return message_recordings.sheets(path, found, rosbag2.lost(path, found))

@@ -8,8 +8,7 @@ from glob import escape
 import numpy as np
 
 from fishmj.base.errors import LogError, UnknownName
-from fishmj.log.importers import column_guess, column_units, header
-from fishmj.log.importers.cells import TIME_CODE
+from fishmj.log.importers import column_guess, column_units, header, table_forms
 from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.column_map import measured
 from fishmj.log.importers.column_units import SI, measures
@@ -19,7 +18,8 @@ from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted, typed
 from fishmj.log.trial import table_spec
 
-PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6)}  # places of a second column of the stamp; in a second
+# units of a second column of the stamp -> its place, and how many are a second
+PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6), "ms": ("t.milliseconds", 1e3)}
 _NUMBER = re.compile(r"\d+")
 COUNTED = ("rad*SCALE",)  # of a servo's ticks or pulses
 FLAT = 5.0  # times that z moves further than y where y is the height
@@ -95,7 +95,7 @@ def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:
         if told == DATE:
             found = Role(("t",), "dates or times of day")
         if found.places and not np.isfinite(kind.values(column)).any() and not _of_a_joint(found.places):
-            if not (found.places[0].startswith(("joint.", "pose.")) and kind.doubt(column)):
+            if not (found.places[0].startswith(("joint.", "pose.", "power.")) and kind.doubt(column)):
                 found = Role(why="holds no number")
         places = tuple(place.replace("#", str(name.number)) if name.number is not None else place for place in found.places)
         doubt = column_guess.doubt(kind, column, places[0])[0] if places else ""
@@ -195,14 +195,16 @@ def _numbered(guesses: list[Guess]) -> list[Guess]:
 
 def _counts(guesses: list[Guess]) -> list[Guess]:
     """Asks which joint each column belongs to, if there are fewer commands than joints or fewer joints than commands."""
-    mine = {t: [i for i, g in enumerate(guesses) if g.state == TAKEN and g.place.startswith(t)] for t in ("cmd.c", "joint.j")}
+    known = [i for i, g in enumerate(guesses) if g.state == TAKEN or g.state == UNCLEAR and len(g.places) == 1]
+    mine = {t: [i for i in known if guesses[i].place.startswith(t)] for t in ("cmd.c", "joint.j")}
     few, many = sorted(mine, key=lambda t: len({guesses[i].place for i in mine[t]}))
     if not mine[few] or len(mine[few]) == len(mine[many]):
         return guesses
     out = list(guesses)
     for i in mine[few]:
         why = f"{len(mine[few])} of {few}1.. beside {len(mine[many])} of {many}1..: which joint is it?"
-        out[i] = out[i] if out[i].said else out[i].unclear(why, places=tuple(f"{few}{n + 1}" for n in range(len(mine[many]))))
+        if not out[i].said and out[i].state == TAKEN:
+            out[i] = out[i].unclear(why, places=tuple(f"{few}{n + 1}" for n in range(len(mine[many]))))
     return out
 
 
@@ -336,12 +338,13 @@ def _family(place: str) -> str:
 
 
 def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tuple[int, int] | None:
-    """Columns of seconds and of the nano- or microseconds within them, as ROS and C export stamps."""
+    """Columns of seconds and of the nano-, micro- or milliseconds within them, as ROS and C export stamps."""
     whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
     if guesses[whole].unit != "s" or guesses[part].unit not in PARTS or guesses[part].said:
         return None
     seconds, within = (kind.values(guesses[i].column) for i in (whole, part))
-    if not (np.nan_to_num(seconds) % 1 == 0).all():
+    rising = guesses[part].unit != "ms" or bool((np.diff(seconds + within / 1e3) >= 0).all())
+    if not (np.nan_to_num(seconds) % 1 == 0).all() or not rising:
         return None
     return (whole, part) if 0 <= np.nanmin(within) and np.nanmax(within) < PARTS[guesses[part].unit][1] else None
 
@@ -462,7 +465,8 @@ def _complete(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             need = spec.fixed[1:] or tuple(t.replace("#", "1") for t in spec.numbered)
             lacking = [column for column in need if column not in have]
             if lacking:
-                why = f"table {table} also needs {', '.join(lacking)}: say which columns they are, or skip this one"
+                globe = f"; {header.GLOBE}" if any(header.on_globe(header.parse(c)) for c in kind.columns) else ""
+                why = f"table {table} also needs {', '.join(lacking)}: say which columns they are, or skip this one{globe}"
                 out = [g.unclear(why) if i in mine and g.table == table and not g.said else g for i, g in enumerate(out)]
     first: dict[str, int] = {}
     for i, g in enumerate(out):
@@ -490,10 +494,7 @@ def _stampless(guesses: list[Guess], kind: FileKind, k: int, mine: Sequence[int]
                     f"no column of time among the names; is it this one? {why}", places=("t",), fits=("s*SECONDS",) * rows
                 )
     if not any(g.kind == k and g.state == UNCLEAR and g.place == "t" for g in out):
-        lost = next((c for c in kind.columns if role(header.parse(c), set()).places == ("t",)), "")
-        cell = kind.sheets[0].text.get(lost, "")
-        what = f"frames, {cell}: write seconds, s + frame / frames a second" if TIME_CODE.fullmatch(cell) else "no number"
-        again = f" ({quoted(lost)} holds {what})" if lost else again
-        why = f"its file has no column of time{again}: skip it, or write one"
+        form = table_forms.without_time(kind.sheets[0].columns) or column_guess.lost_time(kind)
+        why = f"its file has no column of time{f' ({form})' if form else again}: skip it, or write one"
         out = [g.unclear(why) if i in mine and not g.said else g for i, g in enumerate(out)]
     return out

@@ -45,6 +45,7 @@ PULSE = set("pulse pulses pulsewidth".split())
 PULSES = (
     "pulses of a servo, no angles: map them with unit = 'deg', scale = the degrees a us and zero = the us of the straight joint"
 )
+GLOBE = "latitude and longitude are angles on the globe: write x and y in m about the first row"
 TILTS = "a roll or pitch; the schema's fish swims in the plane, its heading is yaw"
 _GLUED = {  # names without a mark between their words; a unit comes last, so no quantity does
     **{"posx": "pos x", "posy": "pos y", "xpos": "pos x", "ypos": "pos y", "camx": "cam x", "camy": "cam y"},
@@ -176,10 +177,18 @@ def role(name: Header, context: set[str]) -> Role:
     return Role(why=UNKNOWN)
 
 
+def on_globe(name: Header) -> bool:
+    """Returns True for a latitude or longitude."""
+    said = name.has({"latitude", "longitude"}) or name.words[-1:] in (("lat",), ("lon",), ("lng",))
+    return said and measures(name.unit) in ("", "angle")
+
+
 def no_place(name: Header) -> str:
     """Reason that servo pulses, a roll or a pitch are in no column of the schema; "" for any other name."""
     if (name.has(PULSE) or name.has({"pwm"}) and name.unit == "us") and not name.has(COMMAND):
         return PULSES
+    if on_globe(name):
+        return GLOBE
     return TILTS if name.has({"roll", "pitch"}) or name.words in (("rx",), ("ry",)) and measures(name.unit) == "angle" else ""
 
 

@@ -16,6 +16,9 @@ from fishmj.log.trial import Table
 ROW = re.compile(
     r"(joint|servo|motor|actuator)s?([ _.-]?(name|id))?|name", re.IGNORECASE
 )  # a column that names the joint of its row
+QUANTITY = re.compile(r"topic|variable|channel|signal|sensor|parameter|key|field|quantity|measurement|type", re.IGNORECASE)
+VALUE = re.compile(r"values?|data|readings?|wert", re.IGNORECASE)  # a column beside it
+LONG = 4  # columns of a table with a row for each quantity, at most
 STATE = {"position": "", "velocity": ".velocity", "effort": ".effort"}  # lists of a JointState -> ends of their columns
 NAME = re.compile(r"(?P<before>.*?)(?P<key>(?:joint_)?names?)(?P<mark>[._\[]?)(?P<number>\d{1,3})\]?", re.IGNORECASE)
 
@@ -25,18 +28,21 @@ def column_of(name: str, key: str) -> str:
     return f"joint.{name}{STATE[key]}" if key in STATE else f"{key}.{name}"
 
 
-def holds_names(column: str) -> bool:
-    """Returns True for a column that may hold names of joints: `name0`, `joint_name`."""
-    return bool(NAME.fullmatch(column) or ROW.fullmatch(column))
+def holds_names(column: str, columns: Sequence[str] = ()) -> bool:
+    """Returns True for a column that may hold names of joints: `name0`, `joint_name`; or of quantities, beside one of values."""
+    return bool(NAME.fullmatch(column) or ROW.fullmatch(column)) or (
+        bool(QUANTITY.fullmatch(column)) and len(columns) <= LONG and any(map(VALUE.fullmatch, columns))
+    )
 
 
 def _refuse_long(where: str, column: str, cells: Sequence[str]) -> None:
-    """Refuses a table with a row for each joint, whose angles would be taken for those of one joint."""
+    """Refuses a table with a row for each joint or quantity, whose values would be taken for those of one joint."""
     names = list(dict.fromkeys(cells))
+    what, value = ("quantity", "VALUE") if QUANTITY.fullmatch(column) else ("joint", "ANGLE")
     if 1 < len(names) <= 64 and len(cells) >= 3 * len(names) and "" not in names:
         raise LogError(
-            f"{where}: column {quoted(column)} names the joint of each row ({', '.join(map(quoted, names[:4]))}); "
-            f"expected a column for each joint: table.pivot(index=TIME, columns={quoted(column)}, values=ANGLE) in pandas"
+            f"{where}: column {quoted(column)} names the {what} of each row ({', '.join(map(quoted, names[:4]))}); "
+            f"expected a column for each {what}: table.pivot(index=TIME, columns={quoted(column)}, values={value}) in pandas"
         )
 
 

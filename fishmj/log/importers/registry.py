@@ -13,7 +13,7 @@ from fishmj.base.errors import FishmjError, LogError, OwnCodeError
 from fishmj.base.names import is_name, nearest
 from fishmj.log.trial import Table, Trial
 from fishmj.log.trial_check import Implausible, Place, bounds_of, check_counts, check_table
-from fishmj.log.unread_rows import UNREAD
+from fishmj.log.unread_rows import UNREAD, left_out
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def trial_of(
     """
     found, bounds, tables = list(notes), bounds_of(meta, name), dict(tables)
     for table in (table for table in UNREAD if table in tables):
-        bad, told = UNREAD[table](tables[table][0], bounds)
+        bad, told = left_out(table, tables[table][0], bounds)
         tables[table], found = (_kept(*tables[table], ~bad) if told else tables[table]), [*found, *told]
     for table, (columns, place) in tables.items():
         try:

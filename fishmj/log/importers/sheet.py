@@ -32,6 +32,7 @@ class Sheet:
     text: dict[str, str] = field(default_factory=dict)  # column -> a cell of it that is no number
     notes: tuple[str, ...] = ()
     doubts: dict[str, str] = field(default_factory=dict)  # column -> why the user decides on it
+    apart: dict[str, str] = field(default_factory=dict)  # column of text -> the robots or trials that it tells apart
     episode: int | None = None  # of a file that holds several trials
 
     def __len__(self) -> int:

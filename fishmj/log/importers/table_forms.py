@@ -1,0 +1,171 @@
+"""Forms in which laboratories write tables and that are no plain numbers in a column each: a test and a sentence for each.
+
+Marks for no value are blanked with a note, several robots or trials are found, and what must be written otherwise is a doubt of
+its sheet (`Sheet.doubts`), of the column of time, or of the whole file.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fishmj.log.importers import header
+from fishmj.log.importers.sheet import Sheet
+from fishmj.log.limits import bare, quoted, typed
+
+SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
+ROBOTS = {"robot", "robots", "fish", "swimmer", "animal", "individual", "subject", "id"}  # of one that tells robots apart
+LABEL = {"name", "no", "nr", "number", "index", "label"}  # words beside them
+ROWS, MOST = 10, 32  # of a trial at least, on average; values of a column that tells robots apart, at most
+INTEGERS = (32767.0, -32768.0, 65535.0, 2.0**31 - 1, -(2.0**31), 2.0**32 - 1)  # ends of numbers of 16 and 32 bits
+NINES, HUGE = 999.0, 1e9  # least mark of nines; least value that is a mark where it repeats
+FAR = 0.2  # of a mark, by which it is at least away from all other values
+LOW, HIGH = 2.0**14, 3 * 2.0**14  # between them lies no number of 16 bits around 0 that was written without its sign
+HALF = 2.0**15  # by which they step at 0, up and down
+CLOCK = 3  # usual steps that a row may be after the one before the minute's end
+STEP = (("dt",), ("deltat",), ("timestep",), ("delta", "t"), ("delta", "time"), ("time", "delta"), ("time", "step"))
+_PARTS = {  # of a clock: last words of their columns
+    "hour": {"h", "hh", "hour", "hours"},
+    "minute": {"m", "mm", "min", "minute", "minutes"},
+    "second": {"s", "ss", "sec", "second", "seconds"},
+}
+_PAIR = re.compile(r"""["']?[A-Za-z_]\w*["']?\s*[=:]\s*["']?[-+]?\.?\d""")
+
+
+# ------------------------------------------------------------------------------------------------------ robots and trials
+def may_tell_apart(column: str) -> bool:
+    """Returns True for a name that says nothing but a robot, a fish or a trial, such as `fish_id`; not for `run_time`."""
+    said = {word for word in header.words(column) if not word.isdecimal()}
+    return bool(said & (SEVERAL | ROBOTS)) and said <= SEVERAL | ROBOTS | LABEL
+
+
+def several(column: str, values: Sequence) -> str:
+    """Sentence on a column whose values (T,), numbers or texts without blanks, tell robots or trials apart; "" for one."""
+    counted = bool(SEVERAL.intersection(header.words(column)))
+    if not len(values) or not (counted or may_tell_apart(column)):
+        return ""
+    found = list(dict.fromkeys(values))
+    apart = may_tell_apart(column) and len(found) <= MOST and len(found) * ROWS <= len(values)
+    steps = sum(a != b for a, b in zip(values, values[1:], strict=False))
+    if len(found) < 2 or not (apart or counted and steps * ROWS < len(values)):
+        return ""
+    shown = [bare(value) if isinstance(value, str) else f"{value:g}" for value in found[:4]]
+    told = f"column {quoted(column)} holds {len(found)} values ({', '.join(shown)}{', ..' * (len(found) > 4)})"
+    todo = f"write a file for each, or --set {typed(column)}=skip to read them as one"
+    return f"{told}: several trials or robots in one file; {todo}"
+
+
+# --------------------------------------------------------------------------------------------------------- marks, 16 bits
+def looked_at(sheet: Sheet) -> Sheet:
+    """The sheet with marks for no value blanked and noted, and with doubts on columns of another form."""
+    columns, notes, doubts = dict(sheet.columns), [], dict(sheet.doubts)
+    for name, values in sheet.columns.items():
+        marks = _marks(values)
+        if marks:
+            columns[name] = np.where(np.isin(values, marks), np.nan, values)
+            told = ", ".join(f"{mark:.15g} in {int(np.sum(values == mark))}" for mark in marks)
+            rest = columns[name][np.isfinite(columns[name])]
+            others = f"others are {rest.min():.4g} to {rest.max():.4g}"
+            notes.append(f"{sheet.name}: column {quoted(name)}: {told} of {len(values)} cells, {others}: taken for blanks")
+        if name not in doubts and (told := _unsigned(columns[name])):
+            doubts[name] = told
+    for column, told in _clock_parts(columns).items():
+        doubts.setdefault(column, told)
+    return replace(sheet, columns=columns, doubts=doubts).noted(*notes)
+
+
+def _marks(values: np.ndarray) -> list[float]:
+    """Numbers that stand for no value: -999, 9999, 65535 or the like, beyond all other values (T,) and far from them."""
+    rest, marks = values[np.isfinite(values)], []
+    while len(rest):
+        ends = [float(end) for end in (rest.min(), rest.max()) if _is_mark(float(end), int(np.sum(rest == end)))]
+        if not ends:
+            break
+        marks.append(ends[0])
+        rest = rest[rest != ends[0]]
+    if len(rest) < 0.5 * len(values) or len(np.unique(rest[:1000])) < 3:
+        return []
+    far = lambda mark: max(rest.min() - mark, mark - rest.max()) > max(np.ptp(rest), FAR * abs(mark))
+    return marks if all(map(far, marks)) else []
+
+
+def _is_mark(value: float, count: int) -> bool:
+    nines = set(f"{abs(value):.12g}".partition("e")[0].replace(".", "").rstrip("0")) == {"9"}
+    return value in INTEGERS or (nines and abs(value) >= NINES) or (count > 1 and abs(value) >= HUGE)
+
+
+def _unsigned(values: np.ndarray) -> str:
+    """Sentence on numbers of 16 bits (T,) with a sign that were written without it; "" for others."""
+    v = values[np.isfinite(values)]
+    if not len(v) or v.min() < 0 or v.max() > 65535 or v.max() < HIGH or np.any((v > LOW) & (v < HIGH)) or v.min() > LOW:
+        return ""
+    if np.any(v % 1) or np.diff(v).min() > -HALF or np.diff(v).max() < HALF:  # a counter that begins again only falls
+        return ""
+    told = f"up to {v.max():.0f}, none from {LOW:.0f} to {HIGH:.0f}: numbers of 16 bits without their sign?"
+    return f"{told} Subtract 65536 from the large ones"
+
+
+# ------------------------------------------------------------------------------------------------------------------- time
+def clock_digits(stamps: np.ndarray) -> tuple[int, str] | None:
+    """(row, sentence) on stamps (T,) in the digits of a clock, HHMMSS after a date or none, with or without ms; None for others.
+
+    At a minute's end they jump by 41, where the clock goes on by its usual step; no digits of minutes and seconds reach 60.
+    """
+    rows = np.flatnonzero(np.isfinite(stamps))
+    t = stamps[rows]
+    for size in (1.0, 1e3) if len(t) >= ROWS else ():
+        whole = np.floor(t / size)
+        date, (hour, minute, second) = whole // 1e6, (whole // 1e4 % 100, whole // 100 % 100, whole % 100)
+        month, day, year = date // 100 % 100, date % 100, date // 1e4
+        on_date = np.all((month >= 1) & (month <= 12) & (day >= 1) & (day <= 31))
+        dated = bool(on_date and np.all((year >= 1990) & (year < 2100)))
+        short = bool(on_date and np.all((year >= 10) & (year < 100)))
+        if not (dated or short or (date.max() == 0 and whole.min() >= 1e4)):
+            continue
+        if hour.max() > 23 or minute.max() > 59 or second.max() > 59:
+            continue
+        clock = 3600 * hour + 60 * minute + second + (t / size - whole)
+        turns = np.diff(minute) != 0
+        step, usual = np.diff(clock), float(np.median(np.diff(clock)))
+        ends = np.flatnonzero(turns & (step > 0) & (step <= max(CLOCK * usual, 1.0)) & (np.diff(t / size) >= 40))
+        if (not len(ends) and not dated) or not 0 < usual < 60 or 2 * len(ends) < turns.sum():
+            continue
+        i = int(ends[0]) if len(ends) else 0
+        seen = f"{t[i + 1]:.17g} after {t[i]:.17g}" if len(ends) else f"{t[0]:.17g}"
+        as_clock = f"{hour[i + 1]:02.0f}:{minute[i + 1]:02.0f}:{second[i + 1]:02.0f}"
+        todo = f"write colons, such as {as_clock}, or 3600 h + 60 min + s"
+        return int(rows[i + 1]), f"its digits are those of a clock, {seen}; expected seconds: {todo}"
+    return None
+
+
+def without_time(columns: Mapping[str, np.ndarray]) -> str:
+    """Sentence on a file without a column of time; "" without a known form."""
+    step = next((name for name in columns if header.parse(name).words in STEP), "")
+    if step:
+        return f"{quoted(step)} is the step from row to row; write its running sum, numpy.cumsum, as column t"
+    return next(iter(_clock_parts(columns).values()), "")
+
+
+def _clock_parts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
+    """Column of the seconds of a minute, beside one of the minutes -> sentence."""
+    of = {part: [c for c in columns if header.words(c)[-1:] and header.words(c)[-1] in said] for part, said in _PARTS.items()}
+    for column in of["second"]:
+        for minute in of["minute"]:
+            s, m = columns[column], columns[minute]
+            back = np.flatnonzero(np.diff(s) < 0)
+            whole = np.all((m % 1 == 0) & (m >= 0) & (m < 60)) and np.all((s >= 0) & (s < 60))
+            if whole and len(back) and np.all(np.diff(m)[back] != 0):
+                parts = ", ".join(quoted(c) for c in (*of["hour"][:1], minute, column))
+                told = f"the clock is in several columns, {parts}: write one column, 3600 h + 60 min + s"
+                return {column: told}
+    return {}
+
+
+# --------------------------------------------------------------------------------------------------------------- of a file
+def pairs(lines: Sequence[str]) -> str:
+    """Sentence on lines of text whose cells are a name and a value each, as `t=0.02, x=1.3`; "" for a table."""
+    found = [line for line in lines if len(_PAIR.findall(line)) > 1]
+    if len(found) < 2 or 2 * len(found) <= len(lines):
+        return ""
+    return f"cells of a name and a value, {quoted(found[0][:40])}; expected a row of names, and rows of numbers below it"

@@ -1,0 +1,194 @@
+"""Forms of a laboratory's table that are read wrongly unless they are told: each is refused, asked about or noted by name."""
+
+import lab_files
+import numpy as np
+import pytest
+
+from fishmj.log import physical_checks
+from fishmj.log.importers import table_forms
+
+ROWS = 400
+T = 0.02 * np.arange(ROWS)
+
+
+@pytest.fixture
+def bring(tmp_path, capsys, monkeypatch):
+    """Imports columns of numbers or texts: (exit code, stdout and stderr); the data set is tmp_path/set."""
+    run = lab_files.importer(tmp_path, capsys, monkeypatch)
+
+    def of(columns: dict, *words):
+        cells = [[cell if isinstance(cell, str) else f"{cell:.6f}" for cell in column] for column in columns.values()]
+        rows = [",".join(row) for row in zip(*cells, strict=True)]
+        (tmp_path / "run.csv").write_text("\n".join([",".join(columns), *rows]) + "\n")
+        code, out, err = run(tmp_path / "run.csv", "--yes", *words)
+        return code, out + err
+
+    return of
+
+
+def swim(shift: float = 0.0) -> dict:
+    """A swim at 50 Hz under a laboratory's names: s, deg, mm, V."""
+    wave = {f"servo{k}_cmd_deg": 20 * np.sin(6 * T - k + shift) for k in (1, 2, 3)}
+    read = {f"servo{k}_pos_deg": 20 * np.sin(6 * (T - 0.06) - k + shift) for k in (1, 2, 3)}
+    place = {"x_mm": 1200 + 120 * T + 900 * shift, "y_mm": 600 + 5 * np.sin(T), "yaw_deg": 4 * np.sin(6 * T + 1.5)}
+    return {"time_s": T, **wave, **read, **place, "batt_V": 7.4 - 0.001 * T}
+
+
+@pytest.mark.parametrize("mixed", [True, False])
+@pytest.mark.parametrize(("column", "names"), [("robot", ("A", "B")), ("fish_id", ("1", "2")), ("trial", ("a", "b"))])
+def test_two_robots_or_trials_in_one_file_are_refused(column, names, mixed, bring):
+    """Rows of both alternate, or those of the second follow; a column of one value is no sign of two."""
+    one, two = swim(), swim(1.0)
+    order = np.argsort(np.r_[T, T + 1e-6] if mixed else np.arange(2 * ROWS), kind="stable")
+    both = {name: np.r_[one[name], two[name]][order] for name in one}
+    told = [names[int(k >= ROWS)] for k in order]
+    code, said = bring(both | {column: told})
+    assert code == 2 and f"column '{column}' holds 2 values ({names[0]}, {names[1]}): several trials or robots" in said
+    assert f"write a file for each, or --set {column}=skip" in said
+    assert bring(one | {column: [names[0]] * ROWS})[0] == 0
+
+
+@pytest.mark.parametrize("column", ["seq", "run_time", "camera_id", "state"])
+def test_other_columns_tell_no_robots_apart(column):
+    assert not table_forms.several(column, [0.0, 1.0] * 200) and not table_forms.several("id", list(range(400)))
+
+
+@pytest.mark.parametrize(("lost", "share"), [(np.arange(ROWS) % 20 > 12, 33), (np.arange(ROWS) % 20 < 7, 38)])
+def test_of_many_lost_poses_the_user_decides(lost, share, bring, tmp_path):
+    """The fish is out of view a third of the time, from the first row on in one of the logs."""
+    columns = swim() | {name: np.where(lost, 0.0, swim()[name]) for name in ("x_mm", "y_mm")}
+    code, said = bring(columns)
+    assert code == 0 and f"{share} % of all: are two fish in one file?" in said
+    made = lab_files.only(tmp_path / "set")
+    assert len(made.tables["pose"]["t"]) == ROWS
+    found = physical_checks.examine(made)
+    assert (found[0].check, found[0].level) == ("lost pose", physical_checks.USE)
+    assert all(f.level != physical_checks.IMPORT for f in found), found
+    assert physical_checks.without_failed_reads(made)[0] is made
+
+
+def digits(seconds: np.ndarray, form: str) -> list[str]:
+    """Stamps in the digits of a clock: `{h:02d}{m:02d}{s:02d}.{c:02d}` of hundredths of seconds."""
+    ticks = np.round(100 * seconds).astype(int)
+    return [form.format(h=k // 360000, m=k // 6000 % 60, s=k // 100 % 60, c=k % 100) for k in ticks.tolist()]
+
+
+@pytest.mark.parametrize(
+    "form", ["{h:02d}{m:02d}{s:02d}.{c:02d}", "20260410{h:02d}{m:02d}{s:02d}.{c:02d}", "{h:02d}{m:02d}{s:02d}{c:02d}0"]
+)
+def test_the_digits_of_a_clock_are_no_seconds(form, bring):
+    stamps = digits(T + 43436, form)
+    code, said = bring({"time": stamps, **{k: v for k, v in swim().items() if k != "time_s"}})
+    assert code == 2 and "run.csv:202:time: its digits are those of a clock" in said and "12:04:00" in said
+
+
+@pytest.mark.parametrize("start", [0.0, 43436.0, 120359.0, 1.76e9, 20260.0])
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+def test_counted_time_is_no_clock(start, unit):
+    for step in (0.001, 0.01, 0.02, 0.1, 1.0):
+        assert table_forms.clock_digits(np.round(unit * (start + step * np.arange(4000)), 3)) is None, step
+    paused = 0.02 * np.arange(9000) + 40 * (np.arange(9000) // 3000)  # a swim of a minute, a rest of 40 s
+    assert table_forms.clock_digits(paused) is None
+
+
+@pytest.mark.parametrize("volts", [-1.0, -7.4])
+def test_a_supply_below_zero_volts_is_refused(volts, bring):
+    code, said = bring(swim() | {"batt_V": np.full(ROWS, volts)})
+    assert code == 2 and "run.csv:2:batt_V" in said and f"{volts:g} V, and negative in 400 of 400 rows" in said
+    assert bring(swim() | {"batt_V": np.full(ROWS, volts)}, "--set", "batt_V=skip")[0] == 0
+
+
+@pytest.mark.parametrize("mark", ["-999", "9999", "-9999", "99.99e9", "65535", "-1e30"])
+@pytest.mark.parametrize("column", ["servo2_pos", "servo1_cmd", "x_mm", "yaw_deg", "batt_V"])
+def test_a_mark_for_no_value_is_blanked_and_named(mark, column, bring):
+    columns = {name.replace("_deg", "") if "servo" in name else name: values for name, values in swim().items()}
+    columns[column] = [mark if k in (50, 51, 130, 270) else f"{v:.4f}" for k, v in enumerate(columns[column])]
+    code, said = bring(columns)
+    assert code == 0 and f"column '{column}': {float(mark):.15g} in 4 of 400 cells" in said and "taken for blanks" in said
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.where(np.arange(400) % 20 < 10, 0.0, 999.0),  # full scale and off
+        np.arange(400.0) + 700,  # through 999
+        32767 * np.sin(np.arange(400)),
+        np.r_[np.linspace(800, 1000, 399), 999.0],
+        1.76e9 + T,
+    ],
+)
+def test_no_mark_where_other_values_are_near(values):
+    assert table_forms._marks(values) == []
+
+
+def without(*names: str) -> dict:
+    return {name: values for name, values in swim().items() if name not in names}
+
+
+def long_form() -> dict:
+    names = list(without("time_s"))
+    return {
+        "time": np.repeat(T, len(names)),
+        "topic": names * ROWS,
+        "value": np.stack([swim()[name] for name in names], 1).ravel(),
+    }
+
+
+CLOCK = T + 43436
+FORMS = {
+    "clock in columns": (
+        {"hour": CLOCK // 3600, "minute": CLOCK // 60 % 60, "second": np.round(CLOCK % 60, 2), **without("time_s")},
+        "the clock is in several columns, 'hour', 'minute', 'second': write one column, 3600 h + 60 min + s",
+    ),
+    "clock in letters": (
+        {"hh": CLOCK // 3600, "mm": CLOCK // 60 % 60, "ss": np.round(CLOCK % 60, 2), **without("time_s")},
+        "its file has no column of time (the clock is in several columns, 'hh', 'mm', 'ss'",
+    ),
+    "long": (long_form(), "column 'topic' names the quantity of each row ('servo1_cmd_deg'"),
+    "pairs": (
+        {f"{name}={swim()[name][0]:.4f}": [f"{name}={v:.4f}" for v in swim()[name]] for name in swim()},
+        "run.csv:1:1: cells of a name and a value",
+    ),
+    "globe": (
+        {"lat": 48.1 + T / 1e6, "lon": 11.5 + T / 1e6, **without("x_mm", "y_mm")},
+        "latitude and longitude are angles on the globe: write x and y in m about the first row",
+    ),
+    "steps": ({"dt": np.full(ROWS, 0.02), **without("time_s")}, "'dt' is the step from row to row; write its running sum"),
+    "newest first": ({name: values[::-1] for name, values in swim().items()}, "The newest row comes first: reverse the rows"),
+    "unit in cells": (
+        {"x": [f"{x:.1f} mm" for x in swim()["x_mm"]], **without("x_mm")},
+        "its cells are text, such as '1200.0 mm': write plain numbers and their unit, mm, in its name",
+    ),
+    "volts in cells": (
+        {**without("batt_V"), "batt_V": [f"{v:.2f} V" for v in swim()["batt_V"]]},
+        "such as '7.40 V': write plain",
+    ),
+    "seconds in cells": (
+        {"time_s": [f"{t:.2f} s" for t in T], **without("time_s")},
+        "'time_s' holds no number, such as '0.00 s'",
+    ),
+    "no sign": (
+        {
+            name.replace("_deg", "_cdeg") if name == "servo1_pos_deg" else name: np.round(100 * v) % 65536
+            if name == "servo1_pos_deg"
+            else v
+            for name, v in swim().items()
+        },
+        "1 column(s) unclear: servo1_pos_cdeg: up to 65525, none from 16384 to 49152: numbers of 16 bits without their sign?",
+    ),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_another_form_is_named_with_its_remedy(form, bring):
+    columns, sentence = FORMS[form]
+    code, said = bring(columns)
+    assert code == 2 and sentence in said, said
+
+
+@pytest.mark.parametrize(("part", "size"), [("msec", 1e3), ("usec", 1e6), ("nsec", 1e9)])
+def test_seconds_and_a_part_of_them_are_one_stamp(part, size, bring, tmp_path):
+    whole = np.floor(T + 1e-9)
+    code, said = bring({"sec": whole, part: np.round(size * (T - whole)), **without("time_s")})
+    assert code == 0, said
+    lab_files.near(lab_files.only(tmp_path / "set").tables["cmd"]["t"], T)
