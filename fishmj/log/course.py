@@ -1,7 +1,7 @@
 """Physical checks of the course: where the fish goes against where its camera says that it heads, and how its body swings.
 
-`heading`, `handedness` and `wave` are rows of `physical_checks.CHECKS`; each yields (level, text) of a trial. The comparisons of
-two channels on a common clock stand here too.
+`heading`, `handedness` and `wave` are rows of `physical_checks.CHECKS`; each yields (level, text) of a trial. `stride` and `sway`
+judge the scale of the positions. The comparisons of two channels on a common clock stand here too.
 """
 
 from cmath import phase
@@ -35,6 +35,7 @@ BEATS, SWING, ALIKE = 2.0, 0.02, 0.7  # of a wave; rad, deviation of its joints;
 DOWN = 0.15  # mean sine of the lag from one joint to the next from which the wave runs to the tail
 NEAR = 20.0  # deg from a quarter turn that still is one
 APACE, STEADY = 0.03, 0.9  # logarithm of two beats' ratio; share of the power of a steady beat that is in its line
+SWINGS, TRAVELS, IDLE = 0.05, 10.0, 0.1  # rad of a free head; way over sway; body lengths a beat, of positions too small
 NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
 
 
@@ -147,7 +148,7 @@ def handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         return
     tail = np.interp(grid, bent["t"], angles.sum(1))
     yaw = np.interp(grid, pose["t"], np.unwrap(np.asarray(pose["yaw"], float)))
-    swing, turn = (_fast(np.gradient(_mean_over(_mean_over(x, 5), 5), GRID)) for x in (tail, yaw))
+    swing, turn = (_fast(np.gradient(mean_over(mean_over(x, 5), 5), GRID)) for x in (tail, yaw))
     if np.std(swing) < BEAT:
         return
     tail, head = _beat(swing), _beat(turn)
@@ -198,25 +199,12 @@ def stride(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str
 
     A fish that is pushed, or in an unknown stream, is not judged; nor one that glides.
     """
-    table, letter = _bends(trial)
-    pose, unknown = trial.tables.get("pose", {}), trial.value("flow.known") is False or trial.value("medium") == "air"
-    if table is None or unknown or len(pose.get("t", ())) < 20 or any(np.atleast_1d(trial.value("push", 0.0))):
+    found = None if trial.value("flow.known") is False else _beating(trial)
+    if found is None:
         return
-    q = stacked(table, letter)
-    grid = common_clock(table["t"], pose["t"])
-    if not q.shape[1] or len(grid) < 3.0 / GRID:
-        return
-    bend = np.interp(grid, table["t"], q[:, int(np.argmax(np.std(q, axis=0)))])
-    x = _fast(_mean_over(bend, 5))
-    begin, (vx, vy) = drifts(pose)
-    rows = [slice(*np.searchsorted(grid, (at, at + PACE))) for at in begin]
-    beats = np.array([r.stop - r.start > 0.9 * PACE / GRID and float(np.std(x[r])) > DRIVEN / 2 for r in rows])
-    if beats.sum() < FEWEST:
-        return
-    way = np.concatenate([np.arange(r.start, r.stop) for r, yes in zip(rows, beats, strict=True) if yes])
-    beat = float(np.std(np.gradient(x, GRID)[way]) / np.std(x[way])) / (2 * pi)
+    _, _, (vx, vy), beat = found
     flow, bearing = _stream(trial)
-    pace = float(np.median(np.hypot(vx - flow * np.cos(bearing), vy - flow * np.sin(bearing))[beats]))
+    pace = float(np.median(np.hypot(vx - flow * np.cos(bearing), vy - flow * np.sin(bearing))))
     lengths = pace / (beat * length)
     if lengths > bounds.stride:
         yield (
@@ -228,7 +216,60 @@ def stride(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str
         )
 
 
+def sway(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str, str]]:
+    """Findings on the sway of a beating fish, over the body's length [m] and the swing of its head [rad]: positions too small.
+
+    A slow way proves nothing: the fish may hold station, or swim badly. But in any current a head swings as the body sways, and
+    an angle has no scale. A fish on a stand does not swing, one on a pin goes nowhere: the way must be many times the sway. A
+    camera may track the point about which the body turns: the way of a beat must be short, too.
+    """
+    if (found := _beating(trial)) is None:
+        return
+    grid, way, drift, beat = found
+    pose = trial.tables["pose"]
+    x, y, yaw = (np.interp(grid, pose["t"], v) for v in (pose["x"], pose["y"], np.unwrap(np.asarray(pose["yaw"], float))))
+    swing, mean, place = _fast(mean_over(yaw, 5))[way], mean_over(yaw, round(1.5 / GRID)), (x + 1j * y) / length
+    aside = (_fast(mean_over(place, 5)) * np.exp(-1j * mean)).imag[way]
+    course = mean_over(place, round(1.5 / GRID))
+    sways, swings, lengths = float(np.std(aside)), float(np.std(swing)), float(np.median(np.hypot(*drift))) / (beat * length)
+    free = np.hypot(np.ptp(course.real), np.ptp(course.imag)) > TRAVELS * sways > 0
+    if swings > SWINGS and free and sways < bounds.sway * swings and lengths < IDLE:
+        yield (
+            NOTE,
+            f"pose: the head swings by {np.degrees(swings):.2g} deg, the body sways by {sways / swings:.2g} body lengths a radian"
+            f" of it (expected 0.04 to 0.15, at least {bounds.sway:g}), and a beat carries it {lengths:.2g} body lengths (0.1 to"
+            " 1): are x and y too small (mm for cm, metres of a pixel)? Film a rule, and give columns.x and columns.y its unit or"
+            " scale in the map; where the camera tracks another point than the centre of mass, state --marker; where the fish is"
+            " towed, push",
+        )
+
+
 # ---------------------------------------------------------------------------------------------------------------------- helpers
+def _beating(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
+    """Common clock (T,) s, its rows in stretches of `PACE` with a beat, drifts (2, K) m/s in them, and frequency, Hz.
+
+    None for a fish that hardly beats, is pushed or in air, or has no joints or pose.
+    """
+    table, letter = _bends(trial)
+    pose = trial.tables.get("pose", {})
+    if table is None or trial.value("medium") == "air" or len(pose.get("t", ())) < 20:
+        return None
+    q = stacked(table, letter)
+    grid = common_clock(table["t"], pose["t"])
+    if any(np.atleast_1d(trial.value("push", 0.0))) or not q.shape[1] or len(grid) < 3.0 / GRID:
+        return None
+    bend = np.interp(grid, table["t"], q[:, int(np.argmax(np.std(q, axis=0)))])
+    x = _fast(mean_over(bend, 5))
+    begin, drift = drifts(pose)
+    rows = [slice(*np.searchsorted(grid, (at, at + PACE))) for at in begin]
+    beats = np.array([r.stop - r.start > 0.9 * PACE / GRID and float(np.std(x[r])) > DRIVEN / 2 for r in rows])
+    if beats.sum() < FEWEST:
+        return None
+    way = np.concatenate([np.arange(r.start, r.stop) for r, yes in zip(rows, beats, strict=True) if yes])
+    beat = float(np.std(np.gradient(x, GRID)[way]) / np.std(x[way])) / (2 * pi)
+    return grid, way, drift[:, beats], beat
+
+
 def common_clock(*stamps: np.ndarray) -> np.ndarray:
     """Common clock of several tables; empty where they do not overlap."""
     start = max(float(t[0]) for t in stamps)
@@ -247,14 +288,14 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.mean((a - a.mean()) * (b - b.mean()))) / scale if scale > 0 else 0.0
 
 
-def _mean_over(x: np.ndarray, rows: int) -> np.ndarray:
+def mean_over(x: np.ndarray, rows: int) -> np.ndarray:
     """Moving mean, edges repeated."""
     return np.convolve(np.pad(x, (rows // 2, rows - 1 - rows // 2), "edge"), np.ones(rows) / rows, "valid")
 
 
 def _fast(x: np.ndarray) -> np.ndarray:
     """Part of x within a beat: turns and drifts are removed."""
-    return x - _mean_over(x, round(1.5 / GRID))
+    return x - mean_over(x, round(1.5 / GRID))
 
 
 def _relation(angle: np.ndarray) -> tuple[float, float]:
@@ -302,7 +343,7 @@ def _phase_lags(trial: Trial, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray
     way = (row >= 0) & (grid - begin[row] < PACE)
     if table is None or not way.any():
         return np.zeros(0), np.zeros(0), np.zeros(0, int)
-    x = np.stack([_fast(_mean_over(np.interp(grid, table["t"], angle), 5)) for angle in q.T])
+    x = np.stack([_fast(mean_over(np.interp(grid, table["t"], angle), 5)) for angle in q.T])
     x, rate = x[:, way], np.gradient(x, GRID, axis=1)[:, way]
     swing, speed = np.std(x, axis=1), np.std(rate, axis=1)
     moving = np.flatnonzero((swing > SWING) & (speed * way.sum() * GRID > BEATS * 2 * pi * swing))

@@ -17,7 +17,10 @@ command) passes.
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, its unit, of another body; folded
     handedness      the head recoils against the tail's swing, at its beat; a picture in a mirror shows it swing along
     wave            the body wave of a fish that swims ahead runs to its tail
+    velocity        measured velocity of another scale, sign or axes than the way of the pose
+    turning         measured rate of turn of another scale or sign than that of the pose
     stride          way of a beat over the body's length, where that is known: the scale of the positions
+    sway            sway of the body for the swing of its head: positions that are too small
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -45,8 +48,10 @@ from fishmj.log.course import (
     handedness,
     heading,
     stride,
+    sway,
     wave,
 )
+from fishmj.log.measured_rates import turning, velocity
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.log.unread_rows import (
@@ -102,14 +107,16 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     """Findings of all checks on one trial; [] if it is sound or lacks the needed motion.
 
     Args:
-        only: names of checks; all by default. length: of the robot [m]; without it the stride is not judged.
+        only: names of checks; all by default. length: of the robot [m]; without it stride and sway are not judged.
 
     Raises LogError: `[plausible]` of the trial is no table of bounds.
     """
     bounds = bounds_of(trial.meta, trial.name or "trial")
     about = "body lengths that a beat carries the fish through the water"
     scale = PhysicalCheck("stride", about, "stride", partial(stride, length=length))
-    checks = (*CHECKS, scale) if length else CHECKS
+    aside = "sway of the body over its length, for a radian that the head swings"
+    small = PhysicalCheck("sway", aside, "sway", partial(sway, length=length))
+    checks = (*CHECKS, scale, small) if length else CHECKS
     wanted = set(only) or {check.name for check in checks}
     seen = _without_lost(trial, bounds)
     return [
@@ -437,8 +444,12 @@ CHECKS = (
     PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", heading),
     PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", handedness),
     PhysicalCheck("wave", "sine of the lag from joint to joint of a fish that swims ahead, negative", "wave", wave),
+    PhysicalCheck("velocity", "velocity over that of the pose, or against it", "agree", velocity),
+    PhysicalCheck("turning", "measured rate of turn over that of yaw, or against it", "agree", turning),
 )
-JOINTS = tuple(check.name for check in CHECKS if check.find not in (_lost_poses, heading, handedness, wave))  # need no camera
+JOINTS = tuple(
+    check.name for check in CHECKS if check.find not in (_lost_poses, heading, handedness, wave, velocity, turning)
+)  # need no camera
 
 
 # ----------------------------------------------------------------------------------------------------------------- helpers

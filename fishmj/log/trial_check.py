@@ -71,6 +71,8 @@ class Plausible:
     alternate: float  # distance between two sources over that within each
     gain: float  # movement of a joint over that of its command
     stride: float  # body lengths a beat
+    sway: float  # of a body length for a radian of the head
+    agree: float  # of two measured rates, times
     overlap: float  # of two tables of one swim, share of the longer
 
     def span(self, name: str) -> tuple[float, float]:

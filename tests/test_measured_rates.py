@@ -1,0 +1,144 @@
+"""Measured velocities and rates of turn that contradict the pose, and positions that are too small for the swing of the head."""
+
+from dataclasses import replace
+
+import lab_files
+import numpy as np
+import pytest
+
+from fishmj import log
+from fishmj.base.calib import calib_folder
+from fishmj.log import physical_checks
+from fishmj.log.trial import Trial, numbered
+from fishmj.mjcf.reading import load_robot
+
+LENGTH = load_robot("fish").length
+CHECKS = ("velocity", "turning", "sway")
+
+
+def swim(seed: int = 0, water: bool = False, sway: bool = True, **meta) -> Trial:
+    """A fish that beats, weaves and changes its pace in a random current; its velocity is over ground, or through the water."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, rng.uniform(8, 20), 0.02)
+    phase = 2 * np.pi * rng.uniform(0.5, 1.2) * t
+    current = rng.uniform(0, 0.4) * np.exp(1j * rng.uniform(-np.pi, np.pi))
+    course = rng.uniform(-3, 3) + 0.7 * np.sin(2 * np.pi * t / 8)
+    yaw = course + 0.2 * np.sin(phase)
+    pace = 0.25 * (1 + 0.3 * np.sin(2 * np.pi * t / 7)) * np.exp(1j * course)
+    aside = rng.uniform(0.04, 0.14) * LENGTH * 0.2 * np.sin(phase + rng.uniform(-3, 3)) * 1j * np.exp(1j * course)
+    place = np.cumsum(pace + current) * 0.02 + aside
+    body = (np.gradient(place, 0.02) - current * water) * np.exp(-1j * yaw)
+    noise = lambda size: rng.normal(0, size, len(t))
+    spin = np.gradient(yaw, 0.02)
+    tables = {
+        "joint": {"t": t, **numbered("j#", 0.4 * np.sin(phase[:, None] - np.arange(3)))},
+        "pose": {"t": t, "x": place.real + noise(0.001), "y": place.imag + noise(0.001), "yaw": yaw + noise(0.01)},
+        "velocity": {"t": t + 0.05, "surge": body.real + noise(0.02), "sway": body.imag + noise(0.02), "yaw_rate": spin},
+        "imu": {"t": t + 0.05, "ax": 0 * t, "ay": 0 * t, "wz": rng.uniform(0.7, 1) * spin + noise(0.05)},
+    }
+    if not sway:
+        del tables["velocity"]["sway"]
+    return Trial({"origin": "measured", **meta}, tables, name="swim")
+
+
+def changed(trial: Trial, table: str, **columns) -> Trial:
+    return replace(trial, tables={**trial.tables, table: {**trial.tables[table], **columns}})
+
+
+def told(trial: Trial) -> list[str]:
+    found = physical_checks.examine(trial, CHECKS, LENGTH)
+    assert all(finding.level == physical_checks.NOTE for finding in found)
+    return [finding.text for finding in found]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sway", [True, False])
+@pytest.mark.parametrize(
+    ("times", "words"), [(100.0, "in cm/s, read as m/s"), (0.01, "in m/s, read as cm/s"), (3.6 / 1.852, "in kn, read as m/s")]
+)
+def test_a_velocity_of_another_scale_is_told_with_its_unit(seed, sway, times, words):
+    trial = swim(seed, water=seed == 1, sway=sway)
+    names = [name for name in ("surge", "sway") if name in trial.tables["velocity"]]
+    (text,) = told(changed(trial, "velocity", **{name: times * trial.tables["velocity"][name] for name in names}))
+    assert words in text and "columns.surge" in text and f'unit = "{words.split()[1].rstrip(",")}"' in text
+
+
+def test_a_velocity_in_other_axes_is_told_with_the_ones_that_fit():
+    trial = swim(2)
+    surge, sway, yaw = trial.tables["velocity"]["surge"], trial.tables["velocity"]["sway"], trial.tables["pose"]["yaw"]
+    world = (surge + 1j * sway) * np.exp(1j * yaw)
+    for one, two, words in (
+        (-surge, -sway, "read surge, sway from -surge, -sway"),
+        (surge, -sway, "read surge, sway from surge, -sway"),
+        (sway, surge, "read surge, sway from sway, surge"),
+        (sway, -surge, "read surge, sway from -sway, surge"),
+        (world.real, world.imag, "along x and y of the tank"),
+    ):
+        (text,) = told(changed(trial, "velocity", surge=one, sway=two))
+        assert words in text
+    assert "from -surge" in told(changed(swim(2, sway=False), "velocity", surge=-surge))[0]
+
+
+@pytest.mark.parametrize(("table", "name"), [("velocity", "yaw_rate"), ("imu", "wz")])
+def test_a_rate_of_turn_in_degrees_or_against_the_heading_is_told(table, name):
+    trial = swim(1)
+    rate = trial.tables[table][name]
+    for values, words in (
+        (np.degrees(rate), 'unit = "deg/s"'),
+        (np.radians(rate), "in rad/s, read as deg/s"),
+        (-rate, "sign = -1"),
+    ):
+        (text,) = told(changed(trial, table, **{name: values}))
+        assert words in text and f"{table}: {name}" in text
+
+
+def test_a_trial_that_allows_it_is_not_doubted():
+    trial = swim(1, plausible={"agree": 200.0})
+    for times in (100.0, -1.0):
+        surge, sway, rate = (times * trial.tables["velocity"][name] for name in ("surge", "sway", "yaw_rate"))
+        wrong = changed(trial, "velocity", surge=surge, sway=sway, yaw_rate=rate)
+        assert told(wrong) == [] and len(told(replace(wrong, meta={"origin": "measured"}))) == 2
+
+
+def scaled(trial: Trial, times: float) -> Trial:
+    pose = trial.tables["pose"]
+    return changed(trial, "pose", **{name: times * np.asarray(pose[name], float) for name in "xy"})
+
+
+@pytest.mark.parametrize("times", [0.1, 0.01, 0.001])
+def test_positions_that_are_too_small_are_told_by_the_sway_of_the_body(times):
+    trials = [trial for trial in log.read_dataset(calib_folder() / "trials") if "pose" in trial.tables]
+    found = [told(scaled(trial, times)) for trial in trials]
+    assert sum(map(len, found)) == 15  # all that beat before a camera
+    assert all("are x and y too small" in text for texts in found for text in texts)
+    assert not any(map(told, trials))
+
+
+def test_a_fish_that_is_held_or_holds_station_is_not_taken_for_a_small_scale():
+    trial = log.read_trial(calib_folder() / "trials" / "swim_gait_1")
+    pose, rng = trial.tables["pose"], np.random.default_rng(3)
+    t, yaw = np.asarray(pose["t"], float), np.asarray(pose["yaw"], float)
+    noise = [rng.normal(0, 0.0005, len(t)) for _ in "xy"]
+    assert told(changed(trial, "pose", x=noise[0], y=noise[1])) == []  # on a pin about which it turns
+    assert told(changed(trial, "pose", x=noise[0], y=noise[1], yaw=0 * yaw)) == []  # on a stand
+    x, y = (np.asarray(pose[name], float) for name in "xy")
+    line = [np.polyval(np.polyfit(t, v, 1), t) for v in (x, y)]
+    assert told(changed(trial, "pose", x=x - line[0], y=y - line[1])) == []  # in an unstated stream
+
+
+@pytest.mark.parametrize("water", [False, True])
+def test_sound_logs_in_random_currents_raise_no_alarm(water):
+    assert [text for seed in range(40) for text in told(swim(seed, water=water, sway=seed % 3 > 0))] == []
+
+
+def test_import_notes_a_velocity_in_centimetres(tmp_path, capsys, monkeypatch):
+    bring, trial = lab_files.importer(tmp_path, capsys, monkeypatch), swim(0)
+    pose, velocity, joint = (trial.tables[name] for name in ("pose", "velocity", "joint"))
+    columns = {"time_s": pose["t"], **{f"measured{k}_rad": joint[f"j{k}"] for k in (1, 2, 3)}}
+    columns |= {"x_m": pose["x"], "y_m": pose["y"], "yaw_rad": pose["yaw"]}
+    for name, times, count in (("sound", 1, 0), ("cm", 50, 1)):
+        speeds = {"surge_m_s": times * velocity["surge"], "sway_m_s": times * velocity["sway"]}
+        lab_files.write(tmp_path / f"{name}.csv", {**columns, **speeds})
+        sets = [word for k in ("surge", "sway") for word in ("--set", f"{k}_m_s=velocity.{k}:m/s")]
+        code, text, err = bring(tmp_path / f"{name}.csv", "--yes", *sets, out=tmp_path / f"out_{name}")
+        assert code == 0 and text.count("times the motion of x and y") == count, err + text
