@@ -16,20 +16,21 @@ Choi 1998 (Re 100) as tabulated beside its own figures by the validation pages o
 """
 
 from dataclasses import replace
+from functools import partial
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.lbm_oracle import scene
-from fishmj.lbm_oracle.cases import Check, about, register, reported
+from fishmj.lbm_oracle.cases import Check, about, entry, reported
 from fishmj.lbm_oracle.immersed.markers import offset_of
 from fishmj.lbm_oracle.immersed.strip import circle_markers
 from fishmj.lbm_oracle.scene import Scene
 
 STREAM = 0.06  # lattice units: Mach 0.1
 BOX, AT = (30.0, 30.0), (0.4, 0.5)  # diameters; share of the box
-QUIET, BROAD = 0.03, (60.0, 80.0)  # stream and box in which the street is judged
+JUDGED: dict[str, Any] = {"stream": 0.03, "box": (60.0, 80.0)}  # in which the street is judged
 KICK = 4.0  # D / U; a push to the side and back, so that the street need not wait for round-off
 
 TAIRA = {"C_D": 1.54, "l / D": 2.30}
@@ -131,47 +132,24 @@ TAIRA_SOURCE = "Taira and Colonius 2007, table 2"
 STREET_SOURCE = "Liu et al. 1998, Park et al. 1998, as tabulated by Mallard's validation pages"
 
 
-@register("cylinder_40_coarse", rung=5, grid="300 x 300 x 1, D = 10", source=TAIRA_SOURCE, cost="30 s")
-def cylinder_40_coarse(device):
-    """The steady wake of a cylinder at Re 40, ten cells across."""
-    yield from steady(10, device, {"C_D": 0.06})
-
-
-@register("cylinder_40", rung=5.1, grid="600 x 600 x 1, D = 20", source=TAIRA_SOURCE, cost="4 min", gpu=True)
-def cylinder_40(device):
-    """The steady wake of a cylinder at Re 40."""
-    yield from steady(20, device, {"C_D": 0.03})
-
-
-@register("cylinder_40_fine", rung=5.2, grid="1200 x 1200 x 1, D = 40", source=TAIRA_SOURCE, cost="GPU, 43 G updates", gpu=True)
-def cylinder_40_fine(device):
-    """The steady wake of a cylinder at Re 40, forty cells across."""
-    yield from steady(40, device, {"C_D": 0.03, "l / D": 0.05})
-
-
-@register("cylinder_100_coarse", rung=6, grid="300 x 300 x 1, D = 10", source=STREET_SOURCE, cost="90 s")
-def cylinder_100_coarse(device):
-    """The vortex street of a cylinder at Re 100, ten cells across."""
-    yield from shedding(10, device, {"C_D": 0.06})
-
-
-@register("cylinder_100", rung=6.1, grid="1200 x 1600 x 1, D = 20", source=STREET_SOURCE, cost="GPU, 170 G updates", gpu=True)
-def cylinder_100(device):
-    """The vortex street of a cylinder at Re 100."""
-    yield from shedding(20, device, {"C_D": 0.04}, stream=QUIET, box=BROAD)
-
-
-@register(
-    "cylinder_100_fine", rung=6.2, grid="2400 x 3200 x 1, D = 40", source=STREET_SOURCE, cost="GPU, 1300 G updates", gpu=True
-)
-def cylinder_100_fine(device):
-    """The vortex street of a cylinder at Re 100, forty cells across."""
-    yield from shedding(40, device, {"C_D": 0.04, "St": 0.02}, stream=QUIET, box=BROAD)
-
-
-@register(
-    "cylinder_100_finest", rung=6.3, grid="3840 x 5120 x 1, D = 64", source=STREET_SOURCE, cost="GPU, 5500 G updates", gpu=True
-)
-def cylinder_100_finest(device):
-    """The vortex street of a cylinder at Re 100, sixty-four cells across: where its lift is judged."""
-    yield from shedding(64, device, {"C_D": 0.04, "C_L": 0.06, "St": 0.02}, stream=QUIET, box=BROAD)
+# fmt: off
+entry("cylinder_40_coarse", "The steady wake of a cylinder at Re 40, ten cells across.",
+      partial(steady, 10, room={"C_D": 0.06}), rung=5, grid="300 x 300 x 1, D = 10", source=TAIRA_SOURCE, cost="30 s")
+entry("cylinder_40", "The steady wake of a cylinder at Re 40.",
+      partial(steady, 20, room={"C_D": 0.03}), rung=5.1, grid="600 x 600 x 1, D = 20", source=TAIRA_SOURCE,
+      cost="4 min", gpu=True)
+entry("cylinder_40_fine", "The steady wake of a cylinder at Re 40, forty cells across.",
+      partial(steady, 40, room={"C_D": 0.03, "l / D": 0.05}), rung=5.2, grid="1200 x 1200 x 1, D = 40", source=TAIRA_SOURCE,
+      cost="GPU, 43 G updates", gpu=True)
+entry("cylinder_100_coarse", "The vortex street of a cylinder at Re 100, ten cells across.",
+      partial(shedding, 10, room={"C_D": 0.06}), rung=6, grid="300 x 300 x 1, D = 10", source=STREET_SOURCE, cost="90 s")
+entry("cylinder_100", "The vortex street of a cylinder at Re 100.",
+      partial(shedding, 20, room={"C_D": 0.04}, **JUDGED), rung=6.1, grid="1200 x 1600 x 1, D = 20", source=STREET_SOURCE,
+      cost="GPU, 170 G updates", gpu=True)
+entry("cylinder_100_fine", "The vortex street of a cylinder at Re 100, forty cells across.",
+      partial(shedding, 40, room={"C_D": 0.04, "St": 0.02}, **JUDGED), rung=6.2, grid="2400 x 3200 x 1, D = 40",
+      source=STREET_SOURCE, cost="GPU, 1300 G updates", gpu=True)
+entry("cylinder_100_finest", "The vortex street of a cylinder at Re 100, sixty-four cells across: where its lift is judged.",
+      partial(shedding, 64, room={"C_D": 0.04, "C_L": 0.06, "St": 0.02}, **JUDGED), rung=6.3, grid="3840 x 5120 x 1, D = 64",
+      source=STREET_SOURCE, cost="GPU, 5500 G updates", gpu=True)
+# fmt: on

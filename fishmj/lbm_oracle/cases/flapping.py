@@ -17,11 +17,12 @@ records differ in the time of this: only the rms of the lift is gated.
 """
 
 from collections.abc import Callable
+from functools import partial
 from math import pi
 
 import numpy as np
 
-from fishmj.lbm_oracle.cases import about, below, register, reported
+from fishmj.lbm_oracle.cases import about, below, entry, register, reported
 from fishmj.lbm_oracle.immersed.markers import CLAMP, SHEET, Markers, offset_of
 from fishmj.lbm_oracle.immersed.shapes import BodyShape
 from fishmj.lbm_oracle.scene import Scene
@@ -170,13 +171,9 @@ def flapping_coarse(device):
     yield from checks(16, device, *means, None, box=16.0)
 
 
-@register("flapping", rung=19.1, grid="960 x 960 x 1, c = 32", source=SOURCE, cost="GPU, 13 G updates", gpu=True)
-def flapping(device):
-    """A hovering ellipse at Re 75."""
-    yield from checks(32, device, LIFT, DRAG, RMS)
-
-
-@register("flapping_fine", rung=19.2, grid="1440 x 1440 x 1, c = 48", source=SOURCE, cost="GPU, 44 G updates", gpu=True)
-def flapping_fine(device):
-    """The same ellipse, 48 cells a chord."""
-    yield from checks(48, device, LIFT, DRAG, RMS)
+# fmt: off
+entry("flapping", "A hovering ellipse at Re 75.", partial(checks, 32, lift=LIFT, drag=DRAG, rms=RMS),
+      rung=19.1, grid="960 x 960 x 1, c = 32", source=SOURCE, cost="GPU, 13 G updates", gpu=True)
+entry("flapping_fine", "The same ellipse, 48 cells a chord.", partial(checks, 48, lift=LIFT, drag=DRAG, rms=RMS),
+      rung=19.2, grid="1440 x 1440 x 1, c = 48", source=SOURCE, cost="GPU, 44 G updates", gpu=True)
+# fmt: on

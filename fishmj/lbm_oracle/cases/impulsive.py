@@ -14,11 +14,12 @@ which is taken off; there is no wake of any length yet. Sides are open and 20 D 
 Source: Koumoutsakos and Leonard 1995, J. Fluid Mech. 296:1, figures of C_D by vortex methods, as quoted in later works.
 """
 
+from functools import partial
 from math import pi, sqrt
 
 import numpy as np
 
-from fishmj.lbm_oracle.cases import about, register, reported
+from fishmj.lbm_oracle.cases import about, entry, reported
 from fishmj.lbm_oracle.scene import Scene, cylinder
 
 REYNOLDS, SPEED = 550.0, 0.025
@@ -27,6 +28,7 @@ END = 3.4  # U t / R
 MODE = 1.841  # of sound in a circle: where the derivative of J_1 is zero
 EARLY, LATE = (0.6, 1.5), (1.8, END)  # U t / R, in which the least and the greatest are looked for
 LEAST, GREATEST = (0.79, 0.703), (2.89, 1.287)  # U t / R and C_D
+ROOM = 0.05  # of the greatest C_D
 
 
 def start_flow(x: np.ndarray, y: np.ndarray, radius: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -63,11 +65,11 @@ def extreme(times: np.ndarray, drag: np.ndarray, between: tuple[float, float], s
     return float(times[at]), float(drag[at])
 
 
-def checks(cells: int, device: str, room: float):
-    """Checks of one grid; `room` of the greatest C_D."""
+def checks(cells: int, device: str):
+    """Checks of one grid."""
     times, drag = drag_of_start(cells, device)
     (low_at, low), (high_at, high) = extreme(times, drag, EARLY, -1), extreme(times, drag, LATE, 1)
-    yield about(f"greatest C_D, D = {cells}", high, GREATEST[1], room)
+    yield about(f"greatest C_D, D = {cells}", high, GREATEST[1], ROOM)
     yield reported("at U t / R", high_at, GREATEST[0])
     yield reported("least C_D before", low, LEAST[1])
     yield reported("at U t / R", low_at, LEAST[0])
@@ -78,13 +80,9 @@ def checks(cells: int, device: str, room: float):
 SOURCE = "Koumoutsakos and Leonard 1995, as quoted"
 
 
-@register("impulsive_coarse", rung=5.5, grid="768 x 640 x 1, D = 32", source=SOURCE, cost="2 min")
-def impulsive_coarse(device):
-    """An impulsively started cylinder at Re 550, 32 cells across."""
-    yield from checks(32, device, 0.05)
-
-
-@register("impulsive", rung=5.6, grid="3072 x 2560 x 1, D = 128", source=SOURCE, cost="GPU, 70 G updates", gpu=True)
-def impulsive(device):
-    """An impulsively started cylinder at Re 550, 128 cells across."""
-    yield from checks(128, device, 0.05)
+# fmt: off
+entry("impulsive_coarse", "An impulsively started cylinder at Re 550, 32 cells across.", partial(checks, 32),
+      rung=5.5, grid="768 x 640 x 1, D = 32", source=SOURCE, cost="2 min")
+entry("impulsive", "An impulsively started cylinder at Re 550, 128 cells across.", partial(checks, 128),
+      rung=5.6, grid="3072 x 2560 x 1, D = 128", source=SOURCE, cost="GPU, 70 G updates", gpu=True)
+# fmt: on

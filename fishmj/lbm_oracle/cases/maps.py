@@ -16,13 +16,14 @@ water slides along the hull, as by default (`SLIP`).
 """
 
 from dataclasses import replace
+from functools import partial
 from math import cos, pi, radians, sin
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from fishmj.lbm_oracle.cases import below, register, reported
+from fishmj.lbm_oracle.cases import below, entry, reported
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.setup import DomainWatch, SwimSetup
 from fishmj.water.flow import Flow
@@ -142,7 +143,7 @@ def relative_difference(one: Load, other: Load) -> float:
     return float(np.linalg.norm(one.force - other.force) / max(np.linalg.norm(one.force), np.linalg.norm(other.force)))
 
 
-def checks(plan: MapPlan, device: str, judged: bool, reported_only: tuple[str, ...] = (), finer: bool = False):
+def checks(plan: MapPlan, device: str, judged: bool = True, reported_only: tuple[str, ...] = (), finer: bool = False):
     """Checks in one box; without `judged` they are all reported, and those of `reported_only` in any case."""
 
     def within(quantity: str, value: float, limit: float):
@@ -174,19 +175,11 @@ def checks(plan: MapPlan, device: str, judged: bool, reported_only: tuple[str, .
         yield reported("grid: lateral force over that at half the cell", base.y / fine.y, 1.0)
 
 
-@register("maps_preview", rung=17, grid="64 x 64 x 30, dx = 2 cm, 4 s", source=SOURCE, cost="3 min", gpu=True)
-def maps_preview(device):
-    """Symmetries and invariances of a force map, in a small box."""
-    yield from checks(PREVIEW, device, judged=False)
-
-
-@register("maps", rung=17.1, grid="200 x 200 x 100, dx = 2 cm, 29 s", source=SOURCE, cost="GPU, 500 G updates", gpu=True)
-def maps(device):
-    """Symmetries and invariances of a force map."""
-    yield from checks(FULL, device, judged=True, reported_only=COARSE, finer=True)
-
-
-@register("maps_fine", rung=17.2, grid="320 x 320 x 160, dx = 1 cm, 18 s", source=SOURCE, cost="GPU, 2500 G updates", gpu=True)
-def maps_fine(device):
-    """The same on the grid that judges by default."""
-    yield from checks(FINE, device, judged=True)
+# fmt: off
+entry("maps_preview", "Symmetries and invariances of a force map, in a small box.", partial(checks, PREVIEW, judged=False),
+      rung=17, grid="64 x 64 x 30, dx = 2 cm, 4 s", source=SOURCE, cost="3 min", gpu=True)
+entry("maps", "Symmetries and invariances of a force map.", partial(checks, FULL, reported_only=COARSE, finer=True),
+      rung=17.1, grid="200 x 200 x 100, dx = 2 cm, 29 s", source=SOURCE, cost="GPU, 500 G updates", gpu=True)
+entry("maps_fine", "The same on the grid that judges by default.", partial(checks, FINE),
+      rung=17.2, grid="320 x 320 x 160, dx = 1 cm, 18 s", source=SOURCE, cost="GPU, 2500 G updates", gpu=True)
+# fmt: on

@@ -10,11 +10,12 @@ case among Basilisk's. Both records give their Morison coefficients by the same 
 Source: Duetsch, Durst, Becker and Lienhart 1998, J. Fluid Mech. 360:249, fig. 10; its coefficients 2.09 and 1.45 were not read.
 """
 
+from functools import partial
 from math import pi
 
 import numpy as np
 
-from fishmj.lbm_oracle.cases import about, register, reported
+from fishmj.lbm_oracle.cases import about, entry, reported
 from fishmj.lbm_oracle.cases.cylinder import cylinder
 
 KC, REYNOLDS, SPEED = 5.0, 100.0, 0.06  # greatest speed in lattice units
@@ -62,13 +63,9 @@ def checks(cells: int, periods: int, device: str, room: float):
 SOURCE = "Duetsch et al. 1998, fig. 10, as digitised in cuIBM's validation-data"
 
 
-@register("oscillating_coarse", rung=8, grid="192 x 192 x 1, D = 12", source=SOURCE, cost="40 s")
-def oscillating_coarse(device):
-    """A cylinder that swings in still water, twelve cells across."""
-    yield from checks(12, 5, device, 0.1)
-
-
-@register("oscillating", rung=8.1, grid="384 x 384 x 1, D = 24", source=SOURCE, cost="5 min", gpu=True)
-def oscillating(device):
-    """A cylinder that swings in still water."""
-    yield from checks(24, 6, device, 0.05)
+# fmt: off
+entry("oscillating_coarse", "A cylinder that swings in still water, twelve cells across.", partial(checks, 12, 5, room=0.1),
+      rung=8, grid="192 x 192 x 1, D = 12", source=SOURCE, cost="40 s")
+entry("oscillating", "A cylinder that swings in still water.", partial(checks, 24, 6, room=0.05),
+      rung=8.1, grid="384 x 384 x 1, D = 24", source=SOURCE, cost="5 min", gpu=True)
+# fmt: on
