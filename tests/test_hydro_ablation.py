@@ -22,7 +22,7 @@ from fishmj.hydro_fit.fit.regression_rows import rows_of
 from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_check, ellipsoid_fit, force
 from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Hooks
 from fishmj.hydro_fit.water_ablation import ablation, ablation_table
-from fishmj.hydro_fit.water_ablation.ablation_fit import Variant
+from fishmj.hydro_fit.water_ablation.ablation import Variant
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.planar_water import world_matrix
 

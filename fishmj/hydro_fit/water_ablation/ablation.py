@@ -8,6 +8,7 @@ settings or code (of `hydro_fit`) is done again.
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,16 +19,15 @@ from fishmj.base import interrupt
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.store import plain, read_json, write_json
 from fishmj.hydro_fit import free_swims
-from fishmj.hydro_fit.fit.fit_pipeline import FitSettings, code
+from fishmj.hydro_fit.fit import fit_pipeline
 from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_check, force
 from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit as ellipsoid
 from fishmj.hydro_fit.record import SegmentRecord
-from fishmj.hydro_fit.water_ablation.ablation_fit import Variant
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import body_sha256
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel, robot_hash
-from fishmj.water.prior import flat
+from fishmj.water.prior import flat, unflat
 
 SCHEMA = "fishmj.ablation/1"
 
@@ -66,7 +66,7 @@ ROWS: dict[str, AblationRow] = {
 
 def table(
     robot: Robot, train: Sequence[SegmentRecord], val: Sequence[SegmentRecord], test: Sequence[SegmentRecord], *,
-    settings: FitSettings, dataset: dict, folder: Path, names: Iterable[str] = (), seeds: Iterable[int] = (0,),
+    settings: fit_pipeline.FitSettings, dataset: dict, folder: Path, names: Iterable[str] = (), seeds: Iterable[int] = (0,),
     report: Callable | None = None,
 ) -> list[dict]:  # fmt: skip
     """Makes all rows, or those of these names; drawn ones once for each seed.
@@ -87,7 +87,11 @@ def table(
     todo = [(name, seed) for name in ROWS if name in names for seed in (seeds if ROWS[name].drawn else seeds[:1])]
     made: list[dict] = []
     parts = (train, val, test)
-    about = {"robot": robot_hash(robot), "data": dataset, "code": code("hydro_fit/mujoco_ellipsoid", "hydro_fit/water_ablation")}
+    about = {
+        "robot": robot_hash(robot),
+        "data": dataset,
+        "code": fit_pipeline.code("hydro_fit/mujoco_ellipsoid", "hydro_fit/water_ablation"),
+    }
     about["records"] = [[r.id for r in part] for part in parts]
     words = lambda: f"{folder} holds {len(made)} of {len(todo)} rows; {interrupt.again()}"
     with interrupt.keeping(words):
@@ -106,7 +110,7 @@ def table(
     return made
 
 
-def _key(about: dict, row: AblationRow, settings: FitSettings) -> str:
+def _key(about: dict, row: AblationRow, settings: fit_pipeline.FitSettings) -> str:
     """Hash of everything on which a row's figures depend."""
     whole = about | {"row": asdict(row) | {"title": ""}, "settings": asdict(settings)}
     return hashlib.sha256(json.dumps(plain(whole)).encode()).hexdigest()
@@ -127,7 +131,7 @@ def _one(
     robot: Robot,
     parts,
     row: AblationRow,
-    settings: FitSettings,
+    settings: fit_pipeline.FitSettings,
     about: dict,
     stages: Path,
     report: Callable,
@@ -176,3 +180,71 @@ def unfitted(robot: Robot) -> HydroModel:
         members=members,
         alone=np.concatenate([members[:1], members]),
     )
+
+
+NEEDS = {  # settings that a stage depends on, besides those of the stages before it
+    "linear": (),
+    "rollout": ("seed", "members", "swim", "rollout"),
+    "residual": ("residual", "memory", "products", "hidden", "steps"),
+    "swims": ("swims",),
+    "retune": ("retune",),
+}
+ALIKE = 2  # members of a model without an error bar: the check wants a spread, here 0
+
+
+class Variant(fit_pipeline.FitPipeline):
+    """The recipe's fit without some parts; fits that differ only in later stages share the files of the earlier ones.
+
+    `FitPipeline` uses the residual only if it improves the validation swims. Here it is always used, because its contribution is
+    to be measured; `scores` has the decision of the recipe. Members, range checks and the error bar are left out.
+
+    Args:
+        code: sha256 of the code; stages of other code are done again. retune: fit the factors again after the residual.
+        The rest as for `FitPipeline`.
+    """
+
+    def __init__(self, robot, train, val, *, dataset: dict, settings: fit_pipeline.FitSettings, folder: "Path | None", code: str,
+                 retune: bool = True, report=fit_pipeline.quiet):  # fmt: skip
+        super().__init__(robot, train, val, dataset=dataset, settings=settings, folder=folder, report=report)
+        self.told = asdict(settings) | {"retune": retune}
+        self.about["code"] = code
+        self.scores: dict[str, float] = {}
+
+    def begin_stage(self, stage: str) -> None:
+        """Sets the key of the stage, which depends only on the settings up to it."""
+        self.key = self._key(stage)
+
+    def solve(self) -> HydroModel:
+        """Runs all stages but the last; returns the model with the residual in it, if there is one."""
+        state = self.run_stages(NEEDS, time.process_time)
+        learnt = fit_pipeline.learnt_of(state)
+        self.scores = {"base": self.score(state["alone"], None), "whole": self.score(state["water"], learnt)}
+        return HydroModel(
+            name="variant",
+            robot=self.robot.name,
+            robot_sha256=robot_hash(self.robot),
+            body_sha256=body_sha256(self.robot),
+            dt=self.chain.dt,
+            slip=float(self.train[0].meta["grid"].get("slip", 1.0)),
+            base=unflat(state["water"].tolist()),
+            members=np.tile(state["water"], (ALIKE, 1)),
+            alone=np.tile(state["alone"], (1 + ALIKE, 1)),
+            learnt=learnt,
+            found=self.found,
+            notes="; ".join(self.notes),
+        )
+
+    def _retune(self, state) -> dict:
+        return super()._retune(state) if self.told["retune"] else {}
+
+    def _share(self, stage: str, part: float) -> float:
+        return (list(NEEDS).index(stage) + part) / len(NEEDS)
+
+    def _key(self, stage: str) -> str:
+        stages = list(NEEDS)
+        needed = [name for before in stages[: stages.index(stage) + 1] for name in NEEDS[before]]
+        about = self.about | {"settings": {name: self.told[name] for name in needed}}
+        return hashlib.sha256(json.dumps(plain(about), sort_keys=True).encode()).hexdigest()
+
+    def _path(self, stage: str) -> Path | None:
+        return None if self.folder is None else self.folder / f"{stage}-{self._key(stage)[:12]}.safetensors"
