@@ -26,7 +26,7 @@ from fishmj.deploy.loop.clock import MonotonicClock
 from fishmj.deploy.loop.open_loop_experiment import SineGait
 from fishmj.deploy.loop.supervisor import NONE, Condition, SwimState
 from fishmj.deploy.loop.swim_loop import SwimOutcome
-from fishmj.deploy.loopback import lockstep_wiring
+from fishmj.deploy.loopback import lockstep
 from fishmj.deploy.loopback.camera_frames import FishLook
 from fishmj.deploy.tracker.calibration import overhead
 from fishmj.deploy.tracker.colour import PAPER_FISH
@@ -287,7 +287,7 @@ def test_ros_messages_are_in_ros_units_and_signs():
 def test_a_gait_swims_without_a_policy_and_meta_says_its_numbers(tmp_path, capsys):
     words = ["--gait", "1,15,60,-5", "--link", "loopback", "--seconds", "3", "--loopback", "--body structured"]
     words += ["--out", str(tmp_path / "swim")]
-    assert swim_command.main(words, lockstep_wiring.wired) == console.OK
+    assert swim_command.main(words, lockstep.wired) == console.OK
     trial = read_trial(tmp_path / "swim")
     cmd = trial.tables["cmd"]
     beating = cmd["state"] == int(SwimState.SWIMMING)

@@ -13,7 +13,7 @@ from fishmj.base import errors
 from fishmj.base.errors import ConfigError, SimDiverged, UnknownName
 from fishmj.engines.lbm import LbmEngine as LbmEngine
 from fishmj.mjcf.reading import load_robot
-from fishmj.tasks.dm_control.solver_physics import SolverPhysics
+from fishmj.tasks.dm_control.physics import SolverPhysics
 from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv
 from fishmj.water.flow import Flow
 

@@ -19,7 +19,7 @@ from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import rollout
 from fishmj.hydro_fit.fit.fit_pipeline import FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
-from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_check, ellipsoid_fit, force
+from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit, force
 from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Hooks
 from fishmj.hydro_fit.water_ablation import ablation, ablation_table
 from fishmj.hydro_fit.water_ablation.ablation import Variant
@@ -185,7 +185,7 @@ def test_swims_bring_ellipsoids_closer_within_their_bounds(fitted):
 def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     """All free swims, whole; free runs of the gaits to the end, as for any records of 5 s; a perfect water has no error."""
     water, test = fitted[1], records["test"]
-    swum = ellipsoid_check.EllipsoidFreeSwims(water, ROBOT, test)
+    swum = ellipsoid_fit.EllipsoidFreeSwims(water, ROBOT, test)
     whole = rollout.fish_batch_of(CHAIN, ROBOT, test, seconds=1e6)
     for a, b in zip(swum.fleet[:-1], whole[:-1], strict=True):
         np.testing.assert_array_equal(a, b)
@@ -196,7 +196,7 @@ def test_ellipsoids_are_judged_by_the_swims_of_the_check(fitted, records):
     np.testing.assert_array_equal(swum.track.q, water.swim(ROBOT).run(whole, water.flat).q)  # by its own coefficients
     perfect, _ = free_swims.errors(swum, swum.seen)
     assert perfect["speed_error_max"] == perfect["power_error_mean"] == 0.0
-    found = ellipsoid_check.judge(water, ROBOT, test)
+    found = ellipsoid_fit.judge(water, ROBOT, test)
     assert set(ablation_table.SHOWN) <= set(found["figures"]) and found["n"]["thrust_error"] > 0
     assert 0.0 < found["figures"]["speed_error_mean"] < 1.0 and found["freerun_s"] == pytest.approx(5.0 - free_swims.SHORTEST)
 

@@ -16,7 +16,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.control.policy_meta import structure_sha256
 from fishmj.deploy.commands import swim_command
 from fishmj.deploy.link.servo_bus_link import ServoBusLink
-from fishmj.deploy.loopback import lockstep_wiring
+from fishmj.deploy.loopback import lockstep
 from fishmj.deploy.loopback.loopback_server import LoopbackServer, ServeOptions
 from fishmj.deploy.loopback.loopback_servos import LoopbackServos
 from fishmj.deploy.loopback.loopback_settings import LoopbackSettings
@@ -306,7 +306,7 @@ def test_a_new_fish_of_five_volts_carries_its_rig(two):
 def test_a_fish_of_two_servos_at_five_volts_arms_and_swims(two, tmp_path, capsys, protocol):
     words = ["--policy", two[1], "--robot", str(two[0]), "--link", "loopback", "--protocol", protocol]
     more = ["--seconds", "3", "--out", str(tmp_path / "swim"), "--json", "--loopback", "--body structured"]
-    assert swim_command.main([*words, *more], lockstep_wiring.wired) == console.OK
+    assert swim_command.main([*words, *more], lockstep.wired) == console.OK
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["complete"] and told["swum_s"] >= 3.0 and told["figures"]["link"]["bad"] == 0
 
@@ -314,7 +314,7 @@ def test_a_fish_of_two_servos_at_five_volts_arms_and_swims(two, tmp_path, capsys
 def test_a_low_supply_ends_the_swim_of_a_fish_at_its_own_bound(two, tmp_path, capsys):
     words = ["--policy", two[1], "--robot", str(two[0]), "--link", "loopback", "--protocol", "servo-bus", "--seconds", "9"]
     more = ["--out", str(tmp_path / "swim"), "--json", "--loopback", "--body structured --fault low_battery=4.2@1"]
-    assert swim_command.main([*words, *more], lockstep_wiring.wired) == console.FAILED_CHECK
+    assert swim_command.main([*words, *more], lockstep.wired) == console.FAILED_CHECK
     assert "BATTERY_LOW" in json.loads(capsys.readouterr().out.splitlines()[-1])["ended_by"]
 
 
@@ -322,7 +322,7 @@ def test_a_low_supply_ends_the_swim_of_a_fish_at_its_own_bound(two, tmp_path, ca
 def test_a_servo_that_ends_a_swim_is_named(two, tmp_path, capsys, fault, words):
     args = ["--policy", two[1], "--robot", str(two[0]), "--link", "loopback", "--protocol", "servo-bus", "--seconds", "9"]
     more = ["--out", str(tmp_path / "swim"), "--json", "--loopback", f"--body structured --fault {fault}"]
-    assert swim_command.main([*args, *more], lockstep_wiring.wired) == console.FAILED_CHECK
+    assert swim_command.main([*args, *more], lockstep.wired) == console.FAILED_CHECK
     assert f"(servo 2 (joint 2 from the head) {words})" in json.loads(capsys.readouterr().out.splitlines()[-1])["ended_by"]
 
 
@@ -330,7 +330,7 @@ def test_a_servo_of_another_number_is_named_before_arming(two, tmp_path, capsys)
     words = ["--policy", two[1], "--robot", str(two[0]), "--link", "loopback", "--protocol", "servo-bus", "--servo-ids", "1,5"]
     with pytest.raises(ConfigError, match="servo 5 .joint 2 from the head. does not answer, 1 does"):
         swim_command.main(
-            [*words, "--wait", "1", "--out", str(tmp_path / "swim"), "--loopback", "--body structured"], lockstep_wiring.wired
+            [*words, "--wait", "1", "--out", str(tmp_path / "swim"), "--loopback", "--body structured"], lockstep.wired
         )
 
 

@@ -12,7 +12,7 @@ from fishmj.mjcf.description import Robot
 
 def in_step(args: Any, robot: Robot, stack: ExitStack) -> Any:
     """Calls `loopback.in_step.wired`, which is imported only for a robot in lockstep."""
-    return import_module("fishmj.deploy.loopback.lockstep_wiring").wired(args, robot, stack)
+    return import_module("fishmj.deploy.loopback.lockstep").wired(args, robot, stack)
 
 
 def trials(argv: list[str]) -> int | None:

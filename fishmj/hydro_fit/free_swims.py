@@ -57,14 +57,17 @@ class FreeSwims:
     """All free swims of some records in a model, whole and from `SETTLED` on, with the ensemble's members."""
 
     def __init__(self, model: HydroModel, robot: Robot, records: Sequence[SegmentRecord]):
-        self.records = [r for r in records if is_free(r)]
-        ch, tick = planar_chain.chain_of(robot), records[0].tick
-        swim, water = SwimWindow(ch, model.swimmer(robot)), flat(model.base)
-        self.fleet = fish_batch_of(ch, robot, self.records, seconds=1e6)
-        self.track = swim.run(self.fleet, water, model.learnt)
+        swim = SwimWindow(planar_chain.chain_of(robot), model.swimmer(robot))
+        self._swum(swim, robot, records, model)
         self.members = prediction_interval.of_members(swim, self.fleet, model.members, model.learnt)
-        self.late = _from(self.fleet, self.track, round(SETTLED / tick))
-        self.seen = _from(self.fleet, recorded(self.fleet), round(SETTLED / tick))
+
+    def _swum(self, swim: SwimWindow, robot: Robot, records: Sequence[SegmentRecord], model) -> None:
+        """Does all swims and free runs of a water; model: its `base` and `learnt`."""
+        self.records = [r for r in records if is_free(r)]
+        ch, settled = planar_chain.chain_of(robot), round(SETTLED / records[0].tick)
+        self.fleet = fish_batch_of(ch, robot, self.records, seconds=1e6)
+        self.track = swim.run(self.fleet, flat(model.base), model.learnt)
+        self.late, self.seen = (_from(self.fleet, track, settled) for track in (self.track, recorded(self.fleet)))
         self.cruise, self.cruise_track = self._freerun(ch, robot, swim, model)
 
     def freerun_error(self) -> tuple[float, int]:

@@ -6,20 +6,37 @@
     localiser = InStep(LockstepCamera(clock), PoseTracker(seed=3))     # or LockstepCamera(clock, artist) and a tracker
 
 The host's loop is the same as in real time over UDP.
+
+`wired` connects it to the host's own commands, without a second process:
+
+    trials_command.main([..., "--link", "loopback", "--yes"], in_step=wired)
+    rig_experiment.main([..., "--link", "loopback", "--yes"], wire=wired)
+
+No camera is drawn: the host gets poses with a tracker's errors and the delay of frames.
 """
 
+import shlex
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fishmj.base.calib import calib_folder, constant, read_toml
 from fishmj.base.errors import UnknownName
+from fishmj.deploy.camera.localiser import InStep
+from fishmj.deploy.link.links import Fishmj1Link, MishLink, RobotLink
+from fishmj.deploy.loop.wiring import Wired, servo_link
+from fishmj.deploy.loopback import loopback_command
 from fishmj.deploy.loopback.camera_frames import FrameArtist
+from fishmj.deploy.loopback.firmware import SERVO_BUS
 from fishmj.deploy.loopback.loopback_body import MILLISECOND
+from fishmj.deploy.loopback.loopback_settings import make_robot
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.tracker.fix import Fix, wrapped
 from fishmj.gap.laboratory import random_streams
+from fishmj.mjcf.description import Robot
 
 
 class LockstepClock:
@@ -212,3 +229,31 @@ class PoseTracker:
             return None
         x, y, yaw = image[:3] + self._slow + draws[1] * self._fast_size
         return Fix(t, float(x), float(y), wrapped(yaw), self._covariance, 1.0)
+
+
+def wired(
+    args: Any, robot: Robot, stack: ExitStack, clock: Callable[[LoopbackRobot], LockstepClock] = LockstepClock,
+    noise: FixNoise | None = None,
+) -> Wired:  # fmt: skip
+    """Replaces `deploy.wiring.wire`.
+
+    Args:
+        args: `loopback` are the options of `deploy loopback`; `robot` and `protocol` as in the host's command.
+        clock: makes the clock that moves the robot. noise: of the fixes; None: a tag's on clean frames, as measured.
+    """
+    words = ["--protocol", args.protocol, "--model", args.robot, *shlex.split(args.loopback or "")]
+    settings = loopback_command.served(loopback_command.options().parse_args(words)).settings
+    made = clock(make_robot(settings))
+    transport = LockstepTransport(made)
+    link: RobotLink
+    if settings.protocol == SERVO_BUS:
+        link = servo_link(args, robot, made, lambda _: LockstepSerial(made))
+    elif settings.protocol == "fishmj-1":
+        link = Fishmj1Link(transport)
+    else:
+        link = MishLink(transport, "fixed" if settings.protocol == "mish-fixed" else "mish-0.1.0")
+    localiser = InStep(LockstepCamera(made), PoseTracker(noise, settings.seed))
+    for part in (link, localiser):
+        part.open()
+        stack.callback(part.close)
+    return Wired(link, localiser, made, True)

@@ -180,10 +180,8 @@ class SwimWindow:
     def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
         """Swim as JAX code: ((q, v, power) (B, T, ..), state at the end)."""
         ch, n = self.chain, self.chain.n
-        sw = self.swimmer._replace(water=unflat([water[:, i] for i in range(water.shape[1])]))
         split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
-        if learnt is not None:  # sorted once, and not in every step
-            learnt = learnt._replace(net=residual_network.halves(jnp, learnt.net))
+        sw, hooks_of = self.in_water(split(water), learnt)
 
         def tick(state, given):
             target, flow, ambient = given
@@ -191,8 +189,7 @@ class SwimWindow:
 
             def step(state, aim):
                 q, v, x, memory, power = state
-                hooks = None if learnt is None else residual_hooks.LearnedResidual(jnp, ch, learnt, memory)
-                s = planar_chain.step(jnp, ch, sw, q, v, x, split(aim), stream, split(ambient), hooks)
+                s = planar_chain.step(jnp, ch, sw, q, v, x, split(aim), stream, split(ambient), hooks_of(memory))
                 memory = memory if learnt is None else tuple(s.memory)
                 return (tuple(s.q), tuple(s.v), s.attached, memory, power + s.power), None
 
@@ -204,6 +201,14 @@ class SwimWindow:
         start = (split(q), split(v), attached, split(memory))
         state, out = lax.scan(tick, start, ahead)
         return tuple(jnp.swapaxes(a, 0, 1) for a in out), state
+
+    def in_water(self, water: tuple, learnt) -> tuple:
+        """(swimmer, function from the memory to the hooks of a step) in a water's coefficients, (B,) each."""
+        sw = self.swimmer._replace(water=unflat(list(water)))
+        if learnt is None:
+            return sw, lambda memory: None
+        learnt = learnt._replace(net=residual_network.halves(jnp, learnt.net))  # sorted once, and not in every step
+        return sw, lambda memory: residual_hooks.LearnedResidual(jnp, self.chain, learnt, memory)
 
 
 class WindowMeans(NamedTuple):

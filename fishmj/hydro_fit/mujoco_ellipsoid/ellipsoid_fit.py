@@ -10,17 +10,22 @@ Without inertia the factor on the added mass stays 1: MuJoCo computes the mass, 
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fishmj.base.least_squares import Problem
+from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import fit_pipeline, gauss_newton, linear_regression, rollout
+from fishmj.hydro_fit.fit.gauss_newton import flaps
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, mean3, rows_of
 from fishmj.hydro_fit.mujoco_ellipsoid import force
-from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import EllipsoidSwim
+from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Bound, EllipsoidSwim
+from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
-from fishmj.water.dynamics import planar_chain
+from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import Prior
 
 MOST = 8.0  # bound on a coefficient, in MuJoCo's defaults: a drag of twice the strips' highest
@@ -196,3 +201,31 @@ def forces(e: force.Ellipsoids, rows: RegressionRows, flat: np.ndarray, inertia:
         own = force.coefficients_of(flat, i == len(e.semi) - 1)
         out.append(unit["viscous"] + sum(value * unit[name] for name, value in own.items()))
     return np.stack(out, 1)
+
+
+class FreeRunStart(NamedTuple):
+    """Attributes of a model that `free_swims.FreeSwims` needs to start a free run.
+
+    The ellipsoids have no memory and ignore them.
+    """
+
+    base: strip_forces.Coefficients
+    learnt: None = None
+
+
+class EllipsoidFreeSwims(free_swims.FreeSwims):
+    """All free swims of some records, whole and settled, and the free runs."""
+
+    def __init__(self, water: Fitted, robot: Robot, records: Sequence[SegmentRecord]):
+        self._swum(Bound(water.swim(robot), water.flat), robot, records, FreeRunStart(planar_chain.nominal(robot).water))
+
+
+def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict:
+    """{"figures", "n", "freerun_s"} as from `check.judge`, without error bar and guard, which this water does not have."""
+    swims = EllipsoidFreeSwims(water, robot, records)
+    got, n = free_swims.errors(swims, swims.late)
+    held = [r for r in records if flaps(r)]
+    force_of = lambda ch, rows, tick: forces(water.ellipsoids, rows, water.flat, water.inertia, tick)
+    got["thrust_error"], n["thrust_error"] = free_swims.thrust_error(force_of, robot, held), len(held)
+    got["freerun_position_error"], n["freerun_position_error"] = swims.freerun_error()
+    return {"figures": got, "n": n, "freerun_s": float(swims.cruise.mask.sum(1).min() * records[0].tick)}

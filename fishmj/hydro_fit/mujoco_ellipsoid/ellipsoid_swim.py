@@ -6,7 +6,6 @@ MuJoCo leaves out (it passes no acceleration to its added-mass term).
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from fishmj.hydro_fit.fit import rollout
 from fishmj.hydro_fit.mujoco_ellipsoid import force
@@ -82,26 +81,12 @@ class EllipsoidSwim(rollout.SwimWindow):
 
     def trace(self, q, v, target, flow, ambient, water, attached, memory, learnt):
         """Swim as JAX code, as in `rollout.SwimWindow`; a stream's own acceleration has no effect here, as in MuJoCo."""
-        ch, n = self.chain, self.chain.n
-        split = lambda a: tuple(a[:, i] for i in range(a.shape[1]))
-        hooks = Hooks(jnp, self.e, split(water), self.inertia)
-        still = (0.0, 0.0)
+        return super().trace(q, v, target, flow, 0.0 * ambient, water, attached, memory, learnt)
 
-        def tick(state, given):
-            target, flow = given
-            stream = [(flow[:, i, 0], flow[:, i, 1]) for i in range(n)]
-
-            def step(state, aim):
-                q, v, power = state
-                s = planar_chain.step(jnp, ch, self.swimmer, q, v, attached, split(aim), stream, still, hooks)
-                return (tuple(s.q), tuple(s.v), power + s.power), None
-
-            (q, v, power), _ = lax.scan(step, (*state, 0.0 * state[0][0]), jnp.swapaxes(target, 0, 1))
-            return (q, v), (jnp.stack(q, -1), jnp.stack(v, -1), power / target.shape[1])
-
-        ahead = tuple(jnp.swapaxes(a, 0, 1) for a in (target, flow))
-        state, out = lax.scan(tick, (split(q), split(v)), ahead)
-        return tuple(jnp.swapaxes(a, 0, 1) for a in out), (*state, attached, split(memory))
+    def in_water(self, water: tuple, learnt) -> tuple:
+        """(swimmer, function to the hooks of a step), as in `rollout.SwimWindow`."""
+        hooks = Hooks(jnp, self.e, water, self.inertia)
+        return self.swimmer, lambda memory: hooks
 
 
 class Bound(EllipsoidSwim):

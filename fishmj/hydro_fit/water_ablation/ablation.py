@@ -20,7 +20,7 @@ from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.store import plain, read_json, write_json
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import fit_pipeline
-from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_check, force
+from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit, force
 from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit as ellipsoid
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
@@ -142,7 +142,7 @@ def _one(
     if row.kind == "ellipsoid":
         fit = ellipsoid.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
         water = fit.solve() if row.fitted else ellipsoid.Fitted(fit.e, force.default(fit.e), row.inertia, {})
-        told = _told(ellipsoid_check.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
+        told = _told(ellipsoid_fit.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
         scores = water.validation | {"judged": fit.score(water.flat, None)}
         return told | {"validation": scores, "coefficients": water.coefficients}
     known = {"dataset": about["data"], "code": about["code"], "folder": stages}

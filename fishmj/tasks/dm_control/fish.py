@@ -26,8 +26,7 @@ from fishmj.engines import Trace
 from fishmj.mjcf.model import ROOTS
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.dm_control.physics import Physics
-from fishmj.tasks.dm_control.solver_physics import HybridPhysics, SolverPhysics
+from fishmj.tasks.dm_control.physics import HybridPhysics, Physics, SolverPhysics
 from fishmj.tasks.episode import EpisodeDraw, SensorWindow, TaskSpec, options_for
 from fishmj.tasks.reference import StepTruth
 from fishmj.water import choice
