@@ -3,6 +3,9 @@
 Each is a few lines on the robot's numbers or on MuJoCo's model while it swims. None is one of the second robot's.
 """
 
+from collections.abc import Callable
+from functools import wraps
+
 import mujoco
 import numpy as np
 
@@ -10,6 +13,22 @@ from fishmj.effects import Parameter
 from fishmj.gap.laboratory.generators.hidden_effect import HiddenEntry
 from fishmj.gap.laboratory.generators.mujoco_robot import LOOSE, SLOSH
 from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
+
+
+def at(hook: str) -> Callable:
+    """Decorator: a change of the swim becomes the fault that adds it, with the fault's values, to a list of the robot.
+
+    hook: the list, `each_step`, `seen` or `read`; its arguments come between the robot and the fault's values.
+    """
+
+    def fault(change: Callable) -> Callable:
+        @wraps(change)
+        def act(fish: RobotParameters, **values) -> None:
+            getattr(fish, hook).append(lambda *given: change(fish, *given, **values))
+
+        return act
+
+    return fault
 
 
 def loose_tail(fish: RobotParameters, compliance):
@@ -25,63 +44,45 @@ def loose_tail(fish: RobotParameters, compliance):
     fish.specs.append(hinge)
 
 
-def one_sided_sticking(fish: RobotParameters, torque):
+@at("each_step")
+def one_sided_sticking(fish: RobotParameters, run, t, torque):
     """Dry friction on the left half of every joint's range only."""
-
-    def rub(run, t):
-        left = run.data.qpos[run.hinges] > 0.0
-        run.model.dof_frictionloss[run.hinges] = fish.friction + torque * left
-
-    fish.each_step.append(rub)
+    left = run.data.qpos[run.hinges] > 0.0
+    run.model.dof_frictionloss[run.hinges] = fish.friction + torque * left
 
 
-def leaking_hull(fish: RobotParameters, rate):
+@at("each_step")
+def leaking_hull(fish: RobotParameters, run, t, rate):
     """The head takes on water: mass and inertia grow from the start of each trial."""
-
-    def fill(run, t):
-        head = run.model.body(fish.robot.links[0].name).id
-        mass, inertia = run.own.setdefault("head", (float(run.model.body_mass[head]), run.model.body_inertia[head].copy()))
-        grown = 1.0 + rate * t / mass
-        run.model.body_mass[head], run.model.body_inertia[head] = mass * grown, inertia * grown
-
-    fish.each_step.append(fill)
+    head = run.model.body(fish.robot.links[0].name).id
+    mass, inertia = run.own.setdefault("head", (float(run.model.body_mass[head]), run.model.body_inertia[head].copy()))
+    grown = 1.0 + rate * t / mass
+    run.model.body_mass[head], run.model.body_inertia[head] = mass * grown, inertia * grown
 
 
-def turning_force(fish: RobotParameters, force, rate):
+@at("each_step")
+def turning_force(fish: RobotParameters, run, t, force, rate):
     """A force on the head that turns steadily in the tank's frame, as of a stuck thruster that hunts."""
-
-    def push(run, t):
-        run.push[0], run.push[1] = force * np.cos(rate * t), force * np.sin(rate * t)
-
-    fish.each_step.append(push)
+    run.push[0], run.push[1] = force * np.cos(rate * t), force * np.sin(rate * t)
 
 
-def brown_outs(fish: RobotParameters, depth, frequency):
+@at("each_step")
+def brown_outs(fish: RobotParameters, run, t, depth, frequency):
     """The supply dips with a period of its own: gains and torque of all servos together."""
-
-    def dip(run, t):
-        run.share[:] = 1.0 - depth * (np.sin(2 * np.pi * frequency * t) > 0.5)
-
-    fish.each_step.append(dip)
+    run.share[:] = 1.0 - depth * (np.sin(2 * np.pi * frequency * t) > 0.5)
 
 
-def one_sided_servo(fish: RobotParameters, loss):
+@at("each_step")
+def one_sided_servo(fish: RobotParameters, run, t, loss):
     """Servos that pull less to the left than to the right."""
-
-    def pull(run, t):
-        wanted = run.data.ctrl - (run.data.qpos[run.hinges] - fish.zero)
-        run.share[:] = np.where(wanted > 0.0, 1.0 - loss, 1.0)
-
-    fish.each_step.append(pull)
+    wanted = run.data.ctrl - (run.data.qpos[run.hinges] - fish.zero)
+    run.share[:] = np.where(wanted > 0.0, 1.0 - loss, 1.0)
 
 
-def cold_grease(fish: RobotParameters, torque, time):
+@at("each_step")
+def cold_grease(fish: RobotParameters, run, t, torque, time):
     """Dry friction that is there at the start of a trial and is worked out of the gears."""
-
-    def warm(run, t):
-        run.model.dof_frictionloss[run.hinges] = fish.friction + torque * np.exp(-t / time)
-
-    fish.each_step.append(warm)
+    run.model.dof_frictionloss[run.hinges] = fish.friction + torque * np.exp(-t / time)
 
 
 def sloshing_ballast(fish: RobotParameters, mass, frequency):
@@ -102,54 +103,42 @@ def sloshing_ballast(fish: RobotParameters, mass, frequency):
     fish.specs.append(slide)
 
 
-def stale_frames(fish: RobotParameters, frames):
+@at("seen")
+def stale_frames(fish: RobotParameters, t, x, y, yaw, record, frames):
     """The tracker keeps up with every n-th frame only and repeats itself in between."""
     many = int(round(frames)) + 1
-
-    def repeat(t, x, y, yaw, record):
-        rows = np.arange(len(t)) // many * many
-        return x[rows], y[rows], yaw[rows]
-
-    fish.seen.append(repeat)
+    rows = np.arange(len(t)) // many * many
+    return x[rows], y[rows], yaw[rows]
 
 
-def slow_when_fast(fish: RobotParameters, time):
+@at("seen")
+def slow_when_fast(fish: RobotParameters, t, x, y, yaw, record, time):
     """The tracker's search window grows with the fish's speed: its delay does too, in seconds per m/s."""
-
-    def late(t, x, y, yaw, record):
-        speed = np.hypot(record.rate[:, 0], record.rate[:, 1])
-        then = t - time * np.interp(t, record.t, speed)
-        x0, y0, yaw0 = (record.at(t, k) for k in range(3))
-        x1, y1, yaw1 = (record.at(then, k) for k in range(3))
-        return x + x1 - x0, y + y1 - y0, yaw + yaw1 - yaw0
-
-    fish.seen.append(late)
+    speed = np.hypot(record.rate[:, 0], record.rate[:, 1])
+    then = t - time * np.interp(t, record.t, speed)
+    x0, y0, yaw0 = (record.at(t, k) for k in range(3))
+    x1, y1, yaw1 = (record.at(then, k) for k in range(3))
+    return x + x1 - x0, y + y1 - y0, yaw + yaw1 - yaw0
 
 
-def bending_mast(fish: RobotParameters, compliance):
+@at("seen")
+def bending_mast(fish: RobotParameters, t, x, y, yaw, record, compliance):
     """The marker stands on a mast that bends against the head's acceleration across, in metres per m/s^2."""
-
-    def bend(t, x, y, yaw, record):
-        step = record.t[1] - record.t[0]
-        ax, ay = (np.gradient(record.rate[:, k], step) for k in range(2))
-        smooth = np.ones(15) / 15
-        across = np.convolve(ay * np.cos(record.q[:, 2]) - ax * np.sin(record.q[:, 2]), smooth, "same")
-        off = -compliance * np.interp(t, record.t, across)
-        return x - off * np.sin(yaw), y + off * np.cos(yaw), yaw
-
-    fish.seen.append(bend)
+    step = record.t[1] - record.t[0]
+    ax, ay = (np.gradient(record.rate[:, k], step) for k in range(2))
+    smooth = np.ones(15) / 15
+    across = np.convolve(ay * np.cos(record.q[:, 2]) - ax * np.sin(record.q[:, 2]), smooth, "same")
+    off = -compliance * np.interp(t, record.t, across)
+    return x - off * np.sin(yaw), y + off * np.cos(yaw), yaw
 
 
-def slack_encoder(fish: RobotParameters, half_gap):
+@at("read")
+def slack_encoder(fish: RobotParameters, t, angles, half_gap):
     """The encoder hangs on the joint with play: it reads late at every turn, the joint itself does not."""
-
-    def play(t, angles):
-        out = angles.copy()
-        for k in range(1, len(out)):
-            out[k] = np.clip(out[k - 1], angles[k] - half_gap, angles[k] + half_gap)
-        return out
-
-    fish.read.append(play)
+    out = angles.copy()
+    for k in range(1, len(out)):
+        out[k] = np.clip(out[k - 1], angles[k] - half_gap, angles[k] + half_gap)
+    return out
 
 
 def _one(name: str, unit: str, low: float, high: float, most: float) -> Parameter:
