@@ -102,9 +102,3 @@ def range_of(found: Sequence[CoastRecord]) -> tuple[float, float]:
     """Range of the possible initial speeds of a coast, m/s."""
     first = [float(np.max(r.pose.values[: max(LEAST, 1)])) for r in found]
     return 0.4 * min(first), 2.0 * max(first)
-
-
-def error(plant: CoastDown, found: Sequence[CoastRecord], row: np.ndarray) -> float:
-    """Mean over the coasts of the mean square error, (m/s)^2."""
-    seen = plant.predict(list(found), row)
-    return float(np.mean([np.mean((p["pose"][0] - r.pose.values) ** 2) for p, r in zip(seen, found, strict=True)]))

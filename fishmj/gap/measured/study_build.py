@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -181,13 +182,19 @@ def _body(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stud
         logs,
         records,
         plant,
-        error=lambda rs, row: study_body.error(plant, rs, row),
+        error=partial(study_body.error, plant),
         floor=nominal,
         floor_of=of,
         floor_at=floor if noise[0].any() else None,
         replicates=same >= nominal,
         protocol=(*told, *(["stamps: corrected by the ratio of clocks that the trial states"] if p.clock else [])),
     )
+
+
+def _mean_square(plant: Any, sensor: str, found: Sequence[Any], row: np.ndarray) -> float:
+    """Mean over the records of the mean square error of a sensor, in its unit squared."""
+    seen = plant.predict(list(found), row)
+    return float(np.mean([np.mean((p[sensor][0] - getattr(r, sensor).values) ** 2) for p, r in zip(seen, found, strict=True)]))
 
 
 def _servo(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Study:
@@ -204,7 +211,7 @@ def _servo(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
         logs,
         records,
         plant,
-        error=lambda rs, row: study_servo.error(plant, rs, row),
+        error=partial(_mean_square, plant, "joint"),
         floor=study_servo.noise(study)[1],
         floor_of="the encoder's noise and rounding as stated",
         replicates=False,
@@ -235,7 +242,7 @@ def _coast(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> Stu
         logs,
         records,
         plant,
-        error=lambda rs, row: coast_down.error(plant, rs, row),
+        error=partial(_mean_square, plant, "pose"),
         floor=study.given.noise.speed**2,
         floor_of="the noise of the speed as stated",
         replicates=False,

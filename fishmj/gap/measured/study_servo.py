@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fishmj.base.errors import LogError
-from fishmj.gap.measured.servo_model import DT, OneServo, Pendulum, PendulumLog
+from fishmj.gap.measured.servo_model import DT, Pendulum, PendulumLog
 from fishmj.gap.measured.study_logs import Log, Series
 from fishmj.gap.measured.study_schema import StudyInput
 from fishmj.gap.records.records import Sensor
@@ -148,9 +148,3 @@ def _pieces(study: StudyInput, log: Log, r: PendulumLog) -> list[PendulumLog]:
             )
         )
     return out
-
-
-def error(plant: OneServo, found: Sequence[PendulumLog], row: np.ndarray) -> float:
-    """Mean over the logs of the mean square error, rad^2."""
-    seen = plant.predict(list(found), row)
-    return float(np.mean([np.mean((p["joint"][0] - r.joint.values) ** 2) for p, r in zip(seen, found, strict=True)]))
