@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.bench.score import inside, names, relative_errors, same, share, twin
+from fishmj.gap.bench.score import inside, middle, names, relative_errors, same, share, share_line, share_of, twin
 from fishmj.gap.laboratory.generators.detectability import BOUND
 
 
@@ -84,16 +84,16 @@ def figures(every: list[dict]) -> dict:
         "precision_of_class": share(len(alike), len(named)),
         "coverage": share(len(whole), len(singles)),
         "coverage_or_twins": share(len(whole) + len(twins), len(singles)),
-        "first_is_right": share(sum(same(r["said"][0]["name"], next(iter(r["truth"]))) for r in said), len(said)),
+        "first_is_right": share_of(said, lambda r: same(r["said"][0]["name"], next(iter(r["truth"])))),
         "agrees_though_detectable": share(count(singles, "AGREES"), len(singles)),
         "coverage_old_definition": share(len(right), len(old)),
-        "phantoms": share(sum(not names(r) <= set(r["truth"]) for r in hiding), len(hiding)),
+        "phantoms": share_of(hiding, lambda r: not names(r) <= set(r["truth"])),
         "misnamed_off_catalogue": share(count(kind["off"], "NAMED"), len(kind["off"])),
-        "pairs_both_found": share(sum(r["answer"] == "NAMED" and set(r["truth"]) <= names(r) for r in pairs), len(pairs)),
-        "pairs_one_found": share(sum(r["answer"] == "NAMED" and bool(set(r["truth"]) & names(r)) for r in either), len(either)),
+        "pairs_both_found": share_of(pairs, lambda r: r["answer"] == "NAMED" and set(r["truth"]) <= names(r)),
+        "pairs_one_found": share_of(either, lambda r: r["answer"] == "NAMED" and bool(set(r["truth"]) & names(r))),
         "intervals_hold": share(sum(held := [c for r in whole for c in inside(r)]), len(held)),
-        "value_error_median": float(np.median(errors)) if errors else None,
-        "value_error_p90": float(np.percentile(errors, 90)) if errors else None,
+        "value_error_median": middle(errors),
+        "value_error_p90": middle(errors, 0.9),
         "refused": count(rows, "REFUSED"),
         "diverged": count(every, "DIVERGED"),
         "not_searched": count(every, "NOT_SEARCHED"),
@@ -101,7 +101,7 @@ def figures(every: list[dict]) -> dict:
         "speed_error_mean": _mean(
             [r["calibrated"]["value"] for r in rows if r.get("calibrated") and r["calibrated"]["value"] is not None]
         ),
-        "seconds_median": float(np.median(seconds)) if seconds else None,
+        "seconds_median": middle(seconds),
     }
 
 
@@ -133,16 +133,6 @@ def _cells(found: dict) -> dict:
 
 
 def _line(key: str, value, aim: dict | None = None) -> str:
-    if not isinstance(value, dict):
-        return f"  {key:28s} {value if value is None or isinstance(value, int) else round(value, 3)}"
-    if not value["n"]:
-        return f"  {key:28s}      -  (none)"
-    text = (
-        f"  {key:28s} {value['value']:6.1%}  ({value['hits']} of {value['n']}; 95 %: {value['low']:.1%} to {value['high']:.1%})"
-    )
-    return text if aim is None else f"{text}  aim {_ends(aim)}: {'met' if aim['met'] else 'MISSED'}"
-
-
-def _ends(aim: dict) -> str:
-    low, high = aim["low"], aim["high"]
-    return f"<= {high:.0%}" if low == 0.0 else f">= {low:.0%}" if high == 1.0 else f"{low:.0%} to {high:.0%}"
+    if isinstance(value, dict):
+        return share_line(key, value, aim)
+    return f"  {key:28s} {value if value is None or isinstance(value, int) else round(value, 3)}"

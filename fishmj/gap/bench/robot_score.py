@@ -19,7 +19,7 @@ from fishmj import effects
 from fishmj.base import console
 from fishmj.gap.bench.family_score import Aim
 from fishmj.gap.bench.robot_thresholds import SHIPPED, chosen, replayed
-from fishmj.gap.bench.score import names, share
+from fishmj.gap.bench.score import names, share, share_line, share_of
 from fishmj.gap.laboratory.articulated.robot_session import SEEN
 
 AIMS = (
@@ -102,8 +102,8 @@ def figures(every: list[dict]) -> dict:
         "agrees": share(count(kind["none"], "AGREES"), len(kind["none"])),
         "misnamed_outside": share(count(outside, "NAMED"), len(outside)),
         "outside_agrees": share(count(outside, "AGREES"), len(outside)),
-        "pairs_both_found": share(sum(r["answer"] == "NAMED" and all_found(r) for r in pairs), len(pairs)),
-        "pairs_phantom": share(sum(r["answer"] == "NAMED" and not none_besides(r) for r in pairs), len(pairs)),
+        "pairs_both_found": share_of(pairs, lambda r: r["answer"] == "NAMED" and all_found(r)),
+        "pairs_phantom": share_of(pairs, lambda r: r["answer"] == "NAMED" and not none_besides(r)),
         "intervals_hold": share(sum(held), len(held)),
         "value_error_median": median_with_bounds(errors),
         "refused": count(rows, "REFUSED"),
@@ -205,14 +205,7 @@ def _cells(found: dict) -> dict:
 def _line(key: str, value, aim: dict | None) -> str:
     if not isinstance(value, dict):
         return f"  {key:24s} {value if value is None or isinstance(value, int) else round(value, 1)}"
-    if not value["n"]:
-        return f"  {key:24s}      -  (none)"
-    within = f"95 %: {value['low']:.1%} to {value['high']:.1%}"
     if key == "value_error_median":
+        within = f"95 %: {value['low']:.1%} to {value['high']:.1%}"
         return f"  {key:24s} {value['value']:6.1%}  ({value['n']} values; {within})  aim <= {ERROR:.0%}"
-    text = f"  {key:24s} {value['value']:6.1%}  ({value['hits']} of {value['n']}; {within})"
-    if aim is None:
-        return text
-    low, high = aim["low"], aim["high"]
-    ends = f"<= {high:.0%}" if low == 0.0 else f">= {low:.0%}" if high == 1.0 else f"{low:.0%} to {high:.0%}"
-    return f"{text}  aim {ends}: {'met' if aim['met'] else 'MISSED'}"
+    return share_line(key, value, aim, 24)

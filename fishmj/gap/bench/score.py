@@ -1,6 +1,7 @@
 """Score of the rows of a benchmark, each share with its 95 % bounds (Clopper & Pearson 1934)."""
 
 import json
+from collections.abc import Callable
 from types import ModuleType
 
 import numpy as np
@@ -27,22 +28,35 @@ def print_score(scoring: ModuleType, rows: list[dict], args, strict: bool) -> in
     return console.FAILED_CHECK if strict and any(aim["met"] is False for aim in result["aims"]) else console.OK
 
 
-def bounds(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:
-    """Exact binomial interval of a share."""
-    from scipy.stats import beta
-
-    if n == 0:
-        return 0.0, 1.0
-    tail = (1 - level) / 2
-    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, n - hits + 1))
-    high = 1.0 if hits == n else float(beta.ppf(1 - tail, hits + 1, n - hits))
-    return low, high
-
-
 def share(hits: int, n: int) -> dict:
-    """{"value", "hits", "n", "low", "high"}; the value is None for n = 0."""
-    low, high = bounds(hits, n)
+    """{"value", "hits", "n", "low", "high"}; for n = 0 the value is None and the bounds are 0 and 1."""
+    from scipy.stats import binomtest
+
+    low, high = map(float, binomtest(hits, n).proportion_ci(method="exact")) if n else (0.0, 1.0)
     return {"value": hits / n if n else None, "hits": int(hits), "n": int(n), "low": low, "high": high}
+
+
+def share_of(rows: list[dict], is_so: Callable[[dict], bool]) -> dict:
+    """Share of the rows for which something is so, as of `share`."""
+    return share(sum(map(is_so, rows)), len(rows))
+
+
+def middle(values: list[float], quantile: float = 0.5) -> float | None:
+    """Median, or another quantile, of values; None without any."""
+    return float(np.quantile(values, quantile)) if values else None
+
+
+def share_line(key: str, found: dict, aim: dict | None, width: int = 28) -> str:
+    """A share as a line of text, with its aim and whether it is met."""
+    if not found["n"]:
+        return f"  {key:{width}s}      -  (none)"
+    within = f"95 %: {found['low']:.1%} to {found['high']:.1%}"
+    text = f"  {key:{width}s} {found['value']:6.1%}  ({found['hits']} of {found['n']}; {within})"
+    if aim is None:
+        return text
+    low, high = aim["low"], aim["high"]
+    ends = f"<= {high:.0%}" if low == 0.0 else f">= {low:.0%}" if high == 1.0 else f"{low:.0%} to {high:.0%}"
+    return f"{text}  aim {ends}: {'met' if aim['met'] else 'MISSED'}"
 
 
 def names(row: dict) -> set[str]:
@@ -93,22 +107,20 @@ def score(rows: list[dict]) -> dict:
         "precision_of_class": share(len(alike), len(named)),
         "coverage": share(len(right), len(singles)),
         "coverage_or_twins": share(len(right) + len(twins), len(singles)),
-        "agrees_though_detectable": share(sum(r["answer"] == "AGREES" for r in singles), len(singles)),
+        "agrees_though_detectable": share_of(singles, lambda r: r["answer"] == "AGREES"),
         "coverage_all_magnitudes": share(len(everything), len(kind["single"])),
-        "coverage_beyond_tolerance": share(
-            sum(r["answer"] == "NAMED" and names(r) == set(r["truth"]) for r in beyond), len(beyond)
-        ),
+        "coverage_beyond_tolerance": share_of(beyond, lambda r: r["answer"] == "NAMED" and names(r) == set(r["truth"])),
         "coverage_beyond_tolerance_or_class": share(len(listed), len(beyond)),
         "class_top1": share(len(top), len(said)),
-        "false_alarm_rate": share(sum(r["answer"] in ("NAMED", "CLASS") for r in kind["none"]), len(kind["none"])),
-        "misnamed_off_catalogue": share(sum(r["answer"] == "NAMED" for r in kind["off"]), len(kind["off"])),
+        "false_alarm_rate": share_of(kind["none"], lambda r: r["answer"] in ("NAMED", "CLASS")),
+        "misnamed_off_catalogue": share_of(kind["off"], lambda r: r["answer"] == "NAMED"),
         "pairs_both_found": share(len(both), len(pairs)),
         "pairs_beyond_tolerance_or_twins": share(len(alike_both), len(apart)),
         "interval_coverage": share(sum(covered), len(covered)),
-        "parameter_error_median": float(np.median(errors)) if errors else None,
-        "parameter_error_p90": float(np.percentile(errors, 90)) if errors else None,
-        "excess_gap_closed_median": float(np.median(closed)) if closed else None,
-        "seconds_median": float(np.median([r["seconds"] for r in rows])) if rows else None,
+        "parameter_error_median": middle(errors),
+        "parameter_error_p90": middle(errors, 0.9),
+        "excess_gap_closed_median": middle(closed),
+        "seconds_median": middle([r["seconds"] for r in rows]),
     }
 
 

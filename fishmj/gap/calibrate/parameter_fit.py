@@ -236,17 +236,16 @@ def _jackknife(r, jac, blocks, normal, key, groups) -> np.ndarray:
     return jackknife(np.array(steps))
 
 
-def correlation_length(r: np.ndarray) -> float:
-    """tau = 1 + 2 sum rho(k), in samples, up to the first k > 5 tau; at least 1."""
+def correlation_length(r: np.ndarray, longest: int | None = None) -> float:
+    """tau = 1 + 2 sum rho(k), in samples, up to the first k > 5 tau, or below `longest`; at least 1."""
     x = r - r.mean()
-    n = len(x)
-    power = np.abs(np.fft.rfft(x, 2 * n)) ** 2
-    rho = np.fft.irfft(power)[:n]
+    power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
+    rho = np.fft.irfft(power)[: len(x)][:longest]
     if rho[0] <= 0:
         return 1.0
     rho = rho / rho[0]
     tau = 1.0 + 2.0 * np.cumsum(rho[1:])
-    stop = np.flatnonzero(np.arange(1, n) > 5 * tau)
+    stop = np.flatnonzero(np.arange(1, len(rho)) > 5 * tau)
     return float(max(1.0, tau[stop[0]] if len(stop) else tau[-1]))
 
 

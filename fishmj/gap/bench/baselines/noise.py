@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from fishmj.gap.calibrate.parameter_fit import correlation_length
 from fishmj.gap.null.whitening import residual_and_tangents, whitening
 from fishmj.gap.records.records import Record, ResidualLayout
 from fishmj.gap.search.fit import EffectFitter
@@ -26,18 +27,8 @@ def sigma_of(layout: ResidualLayout, residual: np.ndarray) -> np.ndarray:
 
 
 def tau(values: np.ndarray) -> float:
-    """Integrated autocorrelation time 1 + 2 sum rho(k), in samples, up to the first k > 5 tau (Sokal)."""
-    x = values - values.mean()
-    power = np.abs(np.fft.rfft(x, 2 * len(x))) ** 2
-    rho = np.fft.irfft(power)[: min(len(x), LONGEST)]
-    if rho[0] <= 0:
-        return 1.0
-    total = 1.0
-    for k in range(1, len(rho)):
-        total += 2 * rho[k] / rho[0]
-        if k > 5 * total:
-            break
-    return max(1.0, float(total))
+    """Integrated autocorrelation time, in samples."""
+    return correlation_length(values, LONGEST)
 
 
 def channels(layout: ResidualLayout) -> dict[str, np.ndarray]:
