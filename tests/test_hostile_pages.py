@@ -16,7 +16,7 @@ from fishmj import engines, evaluate, log
 from fishmj.base import console, pages
 from fishmj.base.errors import ConfigError
 from fishmj.evaluate import plots, trial_report
-from fishmj.evaluate.rank_waters.plot import picture as draw_rank
+from fishmj.evaluate.rank_waters.rank_waters_command import picture as draw_rank
 from fishmj.gap.calibrate import fit_plots
 from fishmj.hydro_fit import fit_report as water
 from fishmj.log import __main__ as command
