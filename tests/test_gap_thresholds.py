@@ -6,7 +6,7 @@ import pytest
 
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import ConfigError
-from fishmj.gap.thresholds import RENAMED, Gates, frozen, thresholds
+from fishmj.gap.thresholds import frozen, thresholds
 
 
 def written(folder, text):
@@ -33,25 +33,6 @@ def test_a_file_of_ones_own_changes_what_it_states_alone(tmp_path):
     own = thresholds(written(tmp_path, "[gates]\ngain = 200\n[fit]\nprobe_sizes = [0.5, 1]\n"))
     assert own.gates.gain == 200.0 and own.fit.probe_sizes == (0.5, 1.0)
     assert own.gates.closure == frozen().closure and own.terms == thresholds().terms
-
-
-def test_old_names_of_gates_are_read_with_one_line_that_says_so(tmp_path, capsys):
-    old = {
-        "rest": 1.2,
-        "again": 0.05,
-        "clear": 0.3,
-        "beside": 0.01,
-        "enough": 900.0,
-        "min_gain_cap": 900.0,
-        "joint": 500.0,
-        "ahead": 200.0,
-        "most": 3,
-    }
-    assert set(old) == set(RENAMED) and set(RENAMED.values()) <= {field.name for field in fields(Gates)}
-    gates = thresholds(written(tmp_path, "[gates]\n" + "".join(f"{k} = {v}\n" for k, v in old.items()))).gates
-    assert {key: getattr(gates, RENAMED[key]) for key in old} == old
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "deprecated" in line and "rest is now residual" in line and "most is now max_effects" in line
 
 
 @pytest.mark.parametrize(

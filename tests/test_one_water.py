@@ -167,7 +167,7 @@ def test_a_member_is_its_strips_and_its_network_alone(tmp_path):
     robot = in_water(f"{path}#2")
     assert robot.water["k"] == in_water("swift#2").water["k"] and robot.water["model"].endswith("swift.toml#2")
     assert Sim("fish", water=f"{path}#2").swimmer == planar_chain.nominal(robot)
-    assert engines.in_water(load_robot("fish"), "surrogate#2").water == in_water("swift#2").water
+    assert engines.in_water(load_robot("fish"), "fitted#2").water == in_water("swift#2").water
 
 
 @pytest.mark.parametrize("number", ["5", "-1", "two", ""])

@@ -209,13 +209,6 @@ def test_a_refused_policy_is_answered_with_options_of_the_command(main, words, o
     assert set(re.findall(r"--[a-z-]+", said.partition("in simulations")[0])) == options
 
 
-def test_the_former_name_of_anyway_goes_on_with_one_line(capsys):
-    assert control.several(["paper"], HELD, any_command_path=True)[0].notes
-    assert capsys.readouterr().err.count("any_command_path= is now anyway=") == 1
-    with pytest.raises(ConfigError, match="command path"):
-        control.make("paper", HELD, any_command_path=False)
-
-
 def test_a_command_path_on_the_command_line_is_no_consent(capsys):
     assert console.run(evaluate, ["paper", "--command-path", "hold", *SHORT]) == console.BAD_INPUT
     assert "add --anyway" in capsys.readouterr().err
@@ -227,8 +220,7 @@ def test_a_description_with_another_command_path_is_no_consent(held_fish, capsys
     argv = ["paper", "--robot", str(held_fish), *SHORT]
     assert console.run(evaluate, argv) == console.BAD_INPUT
     assert "the robot's is hold" in capsys.readouterr().err
-    assert console.run(evaluate, [*argv, "--any-command-path"]) == console.OK
-    assert capsys.readouterr().err.count("--any-command-path is now --anyway") == 1
+    assert console.run(evaluate, [*argv, "--anyway"]) == console.OK
 
 
 # hostile files

@@ -14,7 +14,7 @@ from policy_files import ROBOT, SHORT, header, stored
 from fishmj import control
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
-from fishmj.control.policy import FOLDER, FORMER, SHIPPED, Policy, shipped
+from fishmj.control.policy import FOLDER, SHIPPED, Policy, shipped
 from fishmj.control.policy_meta import one_line
 from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.engines import in_water
@@ -48,13 +48,6 @@ def test_every_shipped_policy_is_in_the_help_and_in_the_guide():
         text = options().format_help()
         assert all(f"  {name}  " in text and about in text for name, about in SHIPPED.items())
     assert all(f"| `{name}` |" in guide for name in SHIPPED)
-
-
-@pytest.mark.parametrize(("old", "new"), FORMER.items())
-def test_an_old_name_goes_on_with_one_line(old, new, capsys, monkeypatch):
-    monkeypatch.setattr(console, "_WARNED", set())
-    assert control.make(old, ROBOT).name == new and Policy.load(old).meta == Policy.load(new).meta
-    assert capsys.readouterr().err.count(f"policy {old} is now called {new}") == 1
 
 
 # water and constants: said, never refused

@@ -16,7 +16,7 @@ from fishmj.train.__main__ import main, options, settings_from
 from fishmj.train.build import algorithm, config_of, environment, referred
 from fishmj.train.learner import METRICS
 from fishmj.train.settings import ALGORITHMS, Registered, Settings, as_dict, change, preset
-from fishmj.train.training_run import FORMER, arrays_of, learner_of, stored_name, tree_of
+from fishmj.train.training_run import arrays_of, learner_of, tree_of
 
 OWN = {  # the lines that their files need: one with a replay buffer, one without
     "td3": Registered("td3:TD3Config", "td3:TD3", budget=1_000_000),
@@ -182,26 +182,8 @@ def test_seeds_stopped_together_name_no_command_that_would_not_work(monkeypatch,
     assert "not yet judged on the tuning flows" in out and "nan" not in out
 
 
-# ---- checkpoints of versions that called things otherwise ----
-
-
-def test_names_of_older_checkpoints_are_found():
-    for now, then in (
-        (".agent.actor[0][0]", ".actor[0][0]"),
-        (".agent.target_critics[1][0]", ".targets[1][0]"),
-        (".agent.opt_states[0][0].mu", ".optimisers[0][0].mu"),
-        (".replay.data.next_obs", ".memory.ahead"),
-        (".replay.data.obs", ".memory.obs"),
-        (".replay.size", ".memory.size"),
-        (".opt_state[1][0].count", ".optimiser[1][0].count"),
-        (".env_state.fish.q", ".env.fish.q"),
-    ):
-        assert stored_name(now, {then: 0}) == then and stored_name(now, {now: 0, then: 0}) == now
-    assert stored_name(".tensors['log_alpha']", {}) == ".tensors['log_alpha']"
-
-
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_a_checkpoint_under_the_former_names_is_read_to_the_bit(algo):
+def test_a_checkpoint_is_read_to_the_bit_and_another_set_up_refused(algo):
     from training import Point
 
     from fishmj.train.build import referred
@@ -210,9 +192,7 @@ def test_a_checkpoint_under_the_former_names_is_read_to_the_bit(algo):
     learner = referred(ALGORITHMS[algo].learner)(Point(), referred(ALGORITHMS[algo].config)(**config), 800)
     state = learner.init(jax.random.key(1))
     arrays = arrays_of(state)
-    former = {stored_name(name, {}): value for name, value in arrays.items()}
-    assert len(former) == len(arrays) and not any(name.startswith(tuple(FORMER)) for name in former)
-    again = arrays_of(tree_of(former, learner.init(jax.random.key(2))))
+    again = arrays_of(tree_of(arrays, learner.init(jax.random.key(2))))
     for name, value in arrays.items():
         np.testing.assert_array_equal(again[name], value, err_msg=name)
     with pytest.raises(ConfigError, match=r"fishmj, the robot or the water has changed .* fishmj train --begin RUN"):

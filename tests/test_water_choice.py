@@ -103,12 +103,6 @@ def test_a_choice_stays_whatever_is_asked_for_later():
         assert in_water(robot, "structured") == in_water(FISH, "structured") and robot_sha256(robot) == robot_sha256(FISH)
 
 
-def test_the_old_word_goes_on_and_is_said_once(capsys, monkeypatch):
-    monkeypatch.setattr(console, "_WARNED", set())
-    assert label(in_water(FISH, "surrogate")) == "swift" and label(in_water(FISH, "surrogate")) == "swift"
-    assert capsys.readouterr().err.count("'surrogate' is now called 'fitted'") == 1
-
-
 def test_what_cannot_be_is_one_clear_error():
     with pytest.raises(UnknownName, match="Known: fitted, hybrid, lbm, none, structured, swift"):
         chosen(FISH, "swfit")
@@ -204,7 +198,7 @@ def test_a_file_has_its_strips_alone_as_a_shipped_name_has(tmp_path):
     assert HydroModel.load(strips).name == "swift-noslip"
 
 
-@pytest.mark.parametrize("water", ["fitted", "surrogate", "swift"])
+@pytest.mark.parametrize("water", ["fitted", "swift"])
 def test_gap_find_refuses_it_on_the_command_line(water, tmp_path, capsys):
     from fishmj.gap.commands.find import main
 

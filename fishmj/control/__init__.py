@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from fishmj.base import console, plugins
+from fishmj.base import plugins
 from fishmj.base.calib import calib_folder, read_toml
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.options import Number
@@ -84,20 +84,10 @@ DIVISORS = (
 )  # fmt: skip  # gains above 0
 
 
-class _FormerOption(argparse.Action):
-    """`--any-command-path`: acts as `--anyway`, with a warning."""
-
-    def __call__(self, parser, namespace, values, option_string=None) -> None:
-        console.warn(f"{option_string} is now --anyway; the old option goes with the release after this one")
-        namespace.anyway = True
-
-
 def anyway_option(parser: argparse.ArgumentParser) -> None:
-    """Adds `--anyway`, and its former name without help."""
+    """Adds `--anyway`."""
     about = "let policies steer on another command path than they were trained on; another structure is refused all the same"
     parser.add_argument("--anyway", action="store_true", help=about)
-    hidden = argparse.SUPPRESS
-    parser.add_argument("--any-command-path", action=_FormerOption, nargs=0, default=hidden, dest="anyway", help=hidden)
 
 
 def shipped_lines() -> str:
@@ -117,14 +107,13 @@ def make(
     robot: "Robot | str" = "fish",
     *,
     anyway: bool = False,
-    any_command_path: bool | None = None,
     **options: Any,
 ) -> Controller:
     """Makes a controller by name, with gains of a file as FILE.toml:NAME, or from a policy by name, file or folder. It runs only
     fishmj's code: the name may be from a file.
 
     Args:
-        anyway: a policy may steer on another command path than it was trained on; `any_command_path` is its former name.
+        anyway: a policy may steer on another command path than it was trained on.
         options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
@@ -143,9 +132,7 @@ def make(
     if entry is None:
         from fishmj.control.learned import LearnedController
 
-        if any_command_path is not None:
-            console.warn("any_command_path= is now anyway=; the old name goes with the release after this one")
-        return LearnedController(robot, name, anyway or bool(any_command_path))
+        return LearnedController(robot, name, anyway)
     gains = gains_of(name, options, file) if entry.tuned else {}
     made = import_module(f"fishmj.control.{entry.module}").build(robot, name, gains)
     if file is not None:

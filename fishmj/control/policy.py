@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store import read_json, read_tensors, write_tensors
@@ -39,7 +38,6 @@ SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md 
     "paper-sac": "SAC with the paper's budget, trained in the structured water",
 }
 BEST = "station-family"  # of the shipped ones, in waters that nobody fitted
-FORMER = {"fitted": "station", "fitted-sac": "station-sac"}  # names of shipped policies, old -> new
 ALSO = "headers.json"  # beside the shipped files
 
 
@@ -50,7 +48,7 @@ def shipped() -> list[str]:
 
 def is_policy(text: "str | Path") -> bool:
     """Returns True if `text` names a policy: a shipped one, a file *.safetensors, or a folder, such as that of a training."""
-    return str(text).endswith(".safetensors") or str(text) in (*shipped(), *FORMER) or os.path.isdir(text)
+    return str(text).endswith(".safetensors") or str(text) in shipped() or os.path.isdir(text)
 
 
 def file_of(source: "str | Path") -> Path:
@@ -58,9 +56,6 @@ def file_of(source: "str | Path") -> Path:
 
     Raises UnknownName: no such name; StoreError: no such file, not a plain one, or a folder without a policy.
     """
-    if (now := FORMER.get(str(source))) is not None:
-        console.warn_once(f"policy {source} is now called {now}; the old name goes with the release after this one")
-        source = now
     path, named = Path(source), FOLDER / f"{source}.safetensors"
     if os.path.isdir(source) and path.suffix != ".safetensors" and str(source) not in shipped():
         inside = [path / name for name in OF_A_RUN if (path / name).is_file()]

@@ -13,21 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fishmj.base import console
 from fishmj.base.calib import calib_folder, read_toml, resolve, shown_path
 from fishmj.base.errors import ConfigError
-
-RENAMED = {
-    "rest": "residual",
-    "joint": "min_joint_gain",
-    "again": "min_gain_per_sample",
-    "clear": "uncontested_discount",
-    "beside": "min_gain_fraction",
-    "enough": "certain_gain",
-    "min_gain_cap": "certain_gain",
-    "ahead": "rival_margin_abs",
-    "most": "max_effects",
-}  # old key of [gates] -> its name now
 
 
 @dataclass(frozen=True)
@@ -95,13 +82,9 @@ def _table(given: Any, shipped: dict, where: str) -> dict:
     """One table: given values over the shipped ones."""
     if not isinstance(given, dict):
         raise ConfigError(f"{where}: got {given!r:.40}, expected a table of thresholds")
-    old = [key for key in given if key in RENAMED and RENAMED[key] in shipped]
-    if old:
-        console.warn(f"{where}: deprecated names: {', '.join(f'{key} is now {RENAMED[key]}' for key in old)}")
-    entries = {(RENAMED[key] if key in old else key): entry for key, entry in given.items()}
-    if unknown := sorted(set(entries) - set(shipped)):
+    if unknown := sorted(set(given) - set(shipped)):
         raise ConfigError(f"{where}: {unknown[0][:64]!r} is no threshold; expected {', '.join(shipped)}")
-    return {key: _value(entries.get(key, entry), entry["value"], f"{where}: {key}") for key, entry in shipped.items()}
+    return {key: _value(given.get(key, entry), entry["value"], f"{where}: {key}") for key, entry in shipped.items()}
 
 
 def _value(entry: Any, shipped: Any, where: str) -> Any:

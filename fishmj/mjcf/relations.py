@@ -330,7 +330,7 @@ def _no_water(model: str) -> KeyFault | None:
     Valid are strips alone, the shipped fitted water, a fitted one by name (`NAME-base`: without residual) or an existing file.
     """
     known, (model, _) = ["structured", "fitted", *calib.waters()], names.split_member(model)
-    if model in (*known, "surrogate") or model.removesuffix("-base") in calib.waters():
+    if model in known or model.removesuffix("-base") in calib.waters():
         return None
     if model.endswith(".toml"):
         if not (wrong := why_unreadable(model, "")) or not why_unreadable(model.replace("-base.toml", ".toml"), ""):

@@ -45,13 +45,6 @@ MAX_FAILED = 0.02  # the same in the flow solver, whose water can fail round a f
 PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions every run states
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
-FORMER = {  # beginnings of names of a train state's leaves -> what checkpoints called them before, the longer first
-    ".agent.target_critics": ".targets", ".agent.opt_states": ".optimisers", ".agent": "",
-    ".replay.data.next_obs": ".memory.ahead", ".replay.data.terminated": ".memory.ended", ".replay.data": ".memory",
-    ".replay": ".memory",
-    ".opt_state": ".optimiser", ".env_state": ".env", ".env_steps": ".updates", ".iteration": ".updates",
-}  # fmt: skip
-ADDED = ".tally"  # leaves that checkpoints of earlier versions lack; they begin anew
 
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
@@ -64,25 +57,14 @@ def arrays_of(tree) -> dict[str, np.ndarray]:
     return out
 
 
-def stored_name(name: str, arrays: dict) -> str:
-    """Name of a leaf in a checkpoint, which may be from a version with another name."""
-    if name in arrays:
-        return name
-    now, then = next(((now, then) for now, then in FORMER.items() if name.startswith(now)), ("", ""))
-    return then + name.removeprefix(now)
-
-
 def tree_of(arrays: dict[str, np.ndarray], like):
     """Inverse of `arrays_of`. Raises ConfigError if the checkpoint belongs to another set-up."""
     paths, shape = jax.tree_util.tree_flatten_with_path(like)
     leaves = []
     for path, leaf in paths:
-        name = stored_name(jax.tree_util.keystr(path), arrays)
+        name = jax.tree_util.keystr(path)
         key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # no array of numbers: its bits are stored
         expected = jax.random.key_data(leaf).shape if key else leaf.shape
-        if name not in arrays and name.startswith(ADDED):
-            leaves.append(leaf)
-            continue
         if name not in arrays or arrays[name].shape != expected:
             got = arrays[name].shape if name in arrays else "nothing"
             changed = "settings are the same, so fishmj, the robot or the water has changed since it was made"

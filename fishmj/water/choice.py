@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from fishmj.water.water_family import WaterFamily
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
-RENAMED = {"surrogate": FITTED}  # old names
 FAMILY = "family"  # the family of the robot's name
 FAMILY_SCHEMA = "fishmj.water-family/1"
 OWN = "own"  # in `robot.water`: the table of the description
@@ -93,8 +92,8 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
         UnknownName, StoreError: no such water, or a damaged one. ConfigError: none is fitted for this body, or one for another
         body or time step.
     """
-    name, described = canonical(water), robot.water.get(OWN, robot.water)
-    stated = canonical(robot.water.get("model"))
+    name, described = None if water is None else str(water), robot.water.get(OWN, robot.water)
+    stated = robot.water.get("model")
     if name == FAMILY:
         name = f"{robot.name}{calib.FAMILY}"
         if name not in calib.families():
@@ -134,18 +133,7 @@ def as_described(robot: Robot, water: "str | Path" = STRUCTURED) -> Robot:
 
     For work that questions a description: the search, the calibration, the second robot.
     """
-    return robot if canonical(water) == STRUCTURED else in_water(robot, water, who="what questions a description")
-
-
-def canonical(water: "str | Path | None") -> str | None:
-    """Present name of a water; warns once about an old name."""
-    if water is None:
-        return None
-    name, member = split_member(str(water))
-    if name not in RENAMED:
-        return str(water)
-    console.warn_once(f"water {name!r} is now called {RENAMED[name]!r}; the old name is deprecated")
-    return _joined(RENAMED[name], member)
+    return robot if str(water) == STRUCTURED else in_water(robot, water, who="what questions a description")
 
 
 def _joined(name: str, member: str | None) -> str:
@@ -169,7 +157,7 @@ def _own(robot: Robot, name: str) -> str:
     kind, member = split_member(name)
     if kind != FITTED:
         return name
-    states = canonical(robot.water.get(OWN, robot.water).get("model"))
+    states = robot.water.get(OWN, robot.water).get("model")
     if states not in (None, *KINDS):
         return _joined(split_member(states)[0], member or split_member(states)[1])
     if robot.name not in calib.waters():
@@ -179,7 +167,7 @@ def _own(robot: Robot, name: str) -> str:
 
 def label(robot: Robot) -> str:
     """Water of a robot for tables and logs: a kind, or the name of the fitted water."""
-    return canonical(robot.water.get("model")) or STRUCTURED
+    return robot.water.get("model") or STRUCTURED
 
 
 def fitted_for(robot: Robot) -> str | None:

@@ -56,7 +56,6 @@ from fishmj.water.flow import DrawnFlow, Flow, shifted
 
 SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.02  # of the tail's length, of its added mass; m/s; less slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")
-RENAMED = {"both": "tail"}  # old names
 CONTROL = "none"  # the right water
 RIGHT = {"rmse": GAP, "speed": 0.01}  # m, m/s: most that it may be off; 0.01 is the tolerance of movement at 0.2 m/s
 FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
@@ -76,7 +75,7 @@ def options() -> console.Parser:
     add("--noslip", type=console.text, help=noslip)
     add("--policy", type=console.text, default="station", help="controller, shipped policy, policy file or module:Name")
     wrong = "what is wrong about MuJoCo's water, or about the tank"
-    add("--wrong", choices=(*WRONG, "all", *RENAMED), default="none", help=wrong)
+    add("--wrong", choices=(*WRONG, "all"), default="none", help=wrong)
     add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
     add("--seconds", type=console.number(1, 600), default=120.0, help="of each trial; 120 hold three segments")
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
@@ -93,9 +92,6 @@ def options() -> console.Parser:
 def main(argv: list[str]) -> int:
     """Runs the verb `hybrid`; exit code 1 if the correction misses its aim."""
     args = options().parse_args(argv)
-    if args.wrong in RENAMED:
-        console.warn(f"--wrong {args.wrong} is now called {RENAMED[args.wrong]}; the old name is deprecated")
-        args.wrong = RENAMED[args.wrong]
     if args.seconds <= (least := args.first + args.lead + HybridOptions.span):
         raise ConfigError(
             f"hydro_fit hybrid: --seconds {args.seconds:g}: the first segment ends at {least:g} s; take longer trials"
