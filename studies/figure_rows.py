@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.control.policy import FORMER
 from fishmj.evaluate.experiments.controller_comparison import gap_closed
 from fishmj.evaluate.metrics import difference, estimate, holm, paired_p
 from fishmj.gap.bench import family_score, power
@@ -77,10 +76,9 @@ def column(rows: Sequence[dict[str, str]], key: str) -> np.ndarray:
 def judged(label: str) -> list[float]:
     """`station, plain` -> arrivals, trials, RMSE after arrival with its interval, RMSE of the last 20 s, power."""
     name, _, water = label.partition(", ")
-    former = {new: old for old, new in FORMER.items()}.get(name, name)
     rows = [row for row in table(SOLVED / "judged_reference.csv") if (row["water"], row["controller"]) == (water, name)]
     if water == "plain":
-        rows = [row for row in table(SOLVED / "judged_trials.csv") if row["controller"] == former]
+        rows = [row for row in table(SOLVED / "judged_trials.csv") if row["controller"] == name]
     after = estimate("rmse_after_arrival", column(rows, "rmse_after_arrival"))
     means = [float(np.nanmean(column(rows, key))) for key in ("rmse_last20", "power")]
     return [float(column(rows, "arrival").sum()), len(rows), after.value, after.low, after.high, *means]
@@ -88,9 +86,7 @@ def judged(label: str) -> list[float]:
 
 def ranked(label: str) -> list[float]:
     """`PPO (station)` -> RMSE after arrival in the solver and in the fitted water, their difference with its interval."""
-    inside = re.search(r"\((.*)\)", label)
-    name = inside[1] if inside else FILMED[label]
-    name = {new: old for old, new in FORMER.items()}.get(name, FILMED.get(label.partition(" (")[0], name))
+    name = FILMED.get(label.partition(" (")[0]) or label.partition("(")[2].rstrip(")")
     rows = [row for row in table(FITTED / "ranked_trials.csv") if row["controller"] == name]
     solver, fitted = (column(rows, f"rmse_after_arrival_{water}") for water in ("solver", "surrogate"))
     apart = difference("rmse_after_arrival", solver, fitted)

@@ -19,7 +19,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.store import read_json, sha256, write_text
-from fishmj.control.policy import FORMER, Policy, file_of, shipped
+from fishmj.control.policy import Policy, file_of, shipped
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.evaluate.metrics import gather
 from fishmj.evaluate.policy_card import KEYS, KEYS_BY_SPEED, card_path, make_card, write_card
@@ -135,7 +135,7 @@ def solved(rows: SolverRows) -> dict[str, dict]:
         lines = [line for line in csv.DictReader(file) if line.get("water", "reference-2") == "reference-2"]
     found: dict[str, dict] = {}
     for name in rows.controllers:
-        mine = [line for line in lines if FORMER.get(line["controller"], line["controller"]) == name]
+        mine = [line for line in lines if line["controller"] == name]
         if not mine or (name in shipped() and arrays_sha256(name) != WEIGHTS.get(name)):
             continue
         figures = {key: np.array([float(line[key] or "nan") for line in mine]) for key in KEYS}
