@@ -48,6 +48,13 @@ def test_two_robots_or_trials_in_one_file_are_refused(column, names, mixed, brin
     assert bring(one | {column: [names[0]] * ROWS})[0] == 0
 
 
+def test_a_bare_id_may_number_servos(bring):
+    """A row for each servo: what to write is a column for each."""
+    rows = {"time_s": np.repeat(T, 3), "id": np.tile([1, 2, 3], ROWS), "position_deg": 20 * np.sin(6 * np.repeat(T, 3))}
+    code, said = bring(rows)
+    assert code == 2 and "several trials, robots or servos in one file; write a file for each, a column for each servo" in said
+
+
 @pytest.mark.parametrize("column", ["seq", "run_time", "camera_id", "state"])
 def test_other_columns_tell_no_robots_apart(column):
     assert not table_forms.several(column, [0.0, 1.0] * 200) and not table_forms.several("id", list(range(400)))

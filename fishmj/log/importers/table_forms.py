@@ -16,6 +16,7 @@ from fishmj.log.limits import bare, quoted, typed
 
 SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
 ROBOTS = {"robot", "robots", "fish", "swimmer", "animal", "individual", "subject", "id"}  # of one that tells robots apart
+SHORT = ("id", "no", "nr", "number", "index")  # which may number servos, too
 LABEL = {"name", "no", "nr", "number", "index", "label"}  # words beside them
 ROWS, MOST = 10, 32  # of a trial at least, on average; values of a column that tells robots apart, at most
 INTEGERS = (32767.0, -32768.0, 65535.0, 2.0**31 - 1, -(2.0**31), 2.0**32 - 1)  # ends of numbers of 16 and 32 bits
@@ -52,8 +53,10 @@ def several(column: str, values: Sequence) -> str:
         return ""
     shown = [bare(value) if isinstance(value, str) else f"{value:g}" for value in found[:4]]
     told = f"column {quoted(column)} holds {len(found)} values ({', '.join(shown)}{', ..' * (len(found) > 4)})"
-    todo = f"write a file for each, or --set {typed(column)}=skip to read them as one"
-    return f"{told}: several trials or robots in one file; {todo}"
+    servos = not counted and header.words(column)[0] in SHORT
+    what, each = ("trials, robots or servos", ", a column for each servo") if servos else ("trials or robots", "")
+    todo = f"write a file for each{each}, or --set {typed(column)}=skip to read them as one"
+    return f"{told}: several {what} in one file; {todo}"
 
 
 # --------------------------------------------------------------------------------------------------------- marks, 16 bits
