@@ -48,6 +48,11 @@ def test_two_robots_or_trials_in_one_file_are_refused(column, names, mixed, brin
     assert bring(one | {column: [names[0]] * ROWS})[0] == 0
 
 
+@pytest.mark.parametrize("none", ["", "nan", "N/A", "None"])
+def test_a_blank_is_no_second_robot(none, bring):
+    assert bring(swim() | {"robot": [none if k % 3 else "A" for k in range(ROWS)]})[0] == 0
+
+
 def test_a_bare_id_may_number_servos(bring):
     """A row for each servo: what to write is a column for each."""
     rows = {"time_s": np.repeat(T, 3), "id": np.tile([1, 2, 3], ROWS), "position_deg": 20 * np.sin(6 * np.repeat(T, 3))}
@@ -60,7 +65,16 @@ def test_other_columns_tell_no_robots_apart(column):
     assert not table_forms.several(column, [0.0, 1.0] * 200) and not table_forms.several("id", list(range(400)))
 
 
-@pytest.mark.parametrize(("lost", "share"), [(np.arange(ROWS) % 20 > 12, 33), (np.arange(ROWS) % 20 < 7, 38)])
+@pytest.mark.parametrize("column", ["run_state", "trial_phase", "take_off", "run_distance_m", "trial_temperature"])
+def test_a_part_or_a_quantity_of_a_trial_counts_no_trials(column):
+    values = [20.9 + (column == "trial_temperature") * 0.2] * 200 + [22.0] * 200
+    values = [0.0] * 200 + [1.0] * 200 if column in ("run_state", "trial_phase", "take_off") else values
+    assert not table_forms.several(column, values) and table_forms.several("trial", [0.0] * 200 + [1.0] * 200)
+
+
+@pytest.mark.parametrize(
+    ("lost", "share"), [(np.arange(ROWS) % 20 > 12, 33), (np.arange(ROWS) % 20 < 7, 38), (np.arange(ROWS) % 20 < 16, 81)]
+)
 def test_of_many_lost_poses_the_user_decides(lost, share, bring, tmp_path):
     """The fish is out of view a third of the time, from the first row on in one of the logs."""
     columns = swim() | {name: np.where(lost, 0.0, swim()[name]) for name in ("x_mm", "y_mm")}
@@ -114,6 +128,22 @@ def test_a_mark_for_no_value_is_blanked_and_named(mark, column, bring):
     assert code == 0 and f"column '{column}': {float(mark):.15g} in 4 of 400 cells" in said and "taken for blanks" in said
 
 
+@pytest.mark.parametrize("lost", [np.arange(ROWS) % 50 == 10, np.arange(ROWS) % 10 > 3])
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_mark_is_blanked_where_most_cells_are_blanks_or_marks(lost, every, bring, tmp_path):
+    """A camera at a fifth of the rate; a fish that is out of view most of the time."""
+    x = ["-999" if no else f"{v:.4f}" for no, v in zip(lost, swim()["x_mm"], strict=True)]
+    code, said = bring(swim() | {"x_mm": ["" if k % every else cell for k, cell in enumerate(x)]})
+    assert code == 0 and "-999 in" in said and lab_files.only(tmp_path / "set").tables["pose"]["x"].min() > 1.0
+
+
+def test_marks_are_sought_in_few_passes(monkeypatch):
+    """Stamps in ns that repeat look like marks one by one."""
+    passes, is_mark = [], table_forms._is_mark
+    monkeypatch.setattr(table_forms, "_is_mark", lambda *seen: passes.append(seen) or is_mark(*seen))
+    assert table_forms._marks(np.repeat(1.76e18 + 2e7 * np.arange(1000), 2)) == [] and len(passes) <= 10
+
+
 @pytest.mark.parametrize(
     "values",
     [
@@ -122,6 +152,7 @@ def test_a_mark_for_no_value_is_blanked_and_named(mark, column, bring):
         32767 * np.sin(np.arange(400)),
         np.r_[np.linspace(800, 1000, 399), 999.0],
         1.76e9 + T,
+        np.where(np.arange(400) % 20 < 12, 999.0, np.round(500 + 100 * np.sin(T))),  # a reading that stays there
     ],
 )
 def test_no_mark_where_other_values_are_near(values):
@@ -141,7 +172,9 @@ def long_form() -> dict:
     }
 
 
-CLOCK = T + 43436
+CLOCK = T + 43436 + 1e-6
+MS = np.round(1e3 * (CLOCK % 1))
+BLANK = ["" if k == 77 else f"{k:.0f}" for k in CLOCK // 60 % 60]
 FORMS = {
     "clock in columns": (
         {"hour": CLOCK // 3600, "minute": CLOCK // 60 % 60, "second": np.round(CLOCK % 60, 2), **without("time_s")},
@@ -150,6 +183,18 @@ FORMS = {
     "clock in letters": (
         {"hh": CLOCK // 3600, "mm": CLOCK // 60 % 60, "ss": np.round(CLOCK % 60, 2), **without("time_s")},
         "its file has no column of time (the clock is in several columns, 'hh', 'mm', 'ss'",
+    ),
+    "clock with milliseconds": (
+        {"hh": CLOCK // 3600, "mm": CLOCK // 60 % 60, "ss": CLOCK % 60 // 1, "ms": MS, **without("time_s")},
+        "unclear: ms: the clock is in several columns, 'hh', 'mm', 'ss', 'ms': write one column, 3600 h + 60 min + s + ms / 1000",
+    ),
+    "clock with milliseconds in words": (
+        {"min": CLOCK // 60 % 60, "sec": CLOCK % 60 // 1, "msec": MS, **without("time_s")},
+        "2 column(s) unclear: sec: the clock is in several columns, 'min', 'sec', 'msec'",
+    ),
+    "clock with a blank": (
+        {"Minute": BLANK, "Sekunde": np.round(CLOCK % 60, 2), "latency_ms": 5 + 0 * T, **without("time_s")},
+        "the clock is in several columns, 'Minute', 'Sekunde': write one column, 3600 h + 60 min + s, ",
     ),
     "long": (long_form(), "column 'topic' names the quantity of each row ('servo1_cmd_deg'"),
     "pairs": (
@@ -184,6 +229,30 @@ FORMS = {
         "1 column(s) unclear: servo1_pos_cdeg: up to 65525, none from 16384 to 49152: numbers of 16 bits without their sign?",
     ),
 }
+
+
+def test_a_servos_counts_without_their_sign_are_told_beside_the_scale(bring):
+    ticks = np.round(800 * np.sin(6 * T)) % 65536
+    code, said = bring({**without("servo1_pos_deg"), "servo1_pos_ticks": ticks})
+    assert code == 2 and "Subtract 65536 from the large ones; count of a servo. Say the scale" in said
+
+
+def test_a_gyroscope_without_its_sign_is_noted_where_the_user_said_its_scale(bring):
+    raw = {"a_raw": np.sin(T), "b_raw": np.cos(T), "c_raw": np.round(800 * np.sin(6 * T)) % 65536}
+    places = {"a_raw": "imu.ax:m/s^2", "b_raw": "imu.ay:m/s^2", "c_raw": "imu.wz:deg/s*0.007"}
+    code, said = bring(swim() | raw, *(word for name, place in places.items() for word in ("--set", f"{name}={place}")))
+    assert code == 0 and "imu: column 'c_raw' as wz: up to 65534, none from 16384 to 49152" in said
+
+
+@pytest.mark.parametrize("cell", ["a=1 b=2", "v: 1 w: 2"])
+def test_a_table_with_pairs_in_a_column_is_a_table(cell, bring):
+    assert bring(swim() | {"note": [cell] * ROWS})[0] == 0
+
+
+def test_two_columns_of_dates_are_no_pairs(bring):
+    dates = [f"2026-04-10T12:03:{t:06.3f}Z" for t in T]
+    code, said = bring({"stamp": dates, "received": dates, **without("time_s")}, "--set", "received=skip")
+    assert code == 0, said
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -57,12 +57,23 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
             if still[i + 1] == still[j] and j - i >= 2:
                 rows[i + 1 : j + 1] = True
         rows |= _filled_in(steps, max(FILLED, 10 * _usual(size))) if name == "yaw" else False
-        rows = rows if rows.mean() <= 0.5 else ~rows  # a log that begins with a lost pose
+        rows = ~rows if _is_seen(values, k, rows) else rows
         if rows.any():
             first = int(np.argmax(rows))
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
             bad |= rows
     return bad, [f"pose: {int(bad.sum())} of {len(t)} rows left out, the fish was lost in {'; '.join(seen)}"] if seen else []
+
+
+def _is_seen(values: np.ndarray, k: int, rows: np.ndarray) -> bool:
+    """Returns True if the fish is seen in these rows, which x, y or yaw (row k of `values`) jumps to, and is lost in the rest.
+
+    A log may begin with a lost pose. A tracker that writes one value for it, such as x = y = 0, may do so in most of the rows.
+    """
+    held = [float(np.mean(v == np.median(v))) if len(v) else 1.0 for v in (values[k, rows], values[k, ~rows])]
+    if rows.mean() > 0.5:
+        return held[0] < 0.9 or held[1] > 0.5
+    return k < 2 and held[0] < 0.5 and float(np.mean(np.any(values[:2, ~rows] != 0, axis=0))) < 0.1
 
 
 def leaps(name: str, t: np.ndarray, size: np.ndarray, bounds: Plausible) -> np.ndarray:

@@ -190,6 +190,8 @@ def _table(table: str, sheet: Sheet, entry: TableMap) -> tuple[Table, Place, lis
         else:
             out[column] = (sheet.columns[source.column] - source.zero) * source.factor
             names[column] = source.column
+            if measured(table, column) != "angle" and (form := table_forms.unsigned(sheet.columns[source.column])):
+                notes.append(f"{table}: column {quoted(source.column)} as {column}: {form}")  # an angle's turns are unwrapped
             if np.isnan(out[column]).all():
                 what = f", such as {quoted(sheet.text[source.column])}" if source.column in sheet.text else ""
                 raise LogError(

@@ -264,7 +264,11 @@ class _Reader:
                     self._refuse_two(column, int(self.lines[row]))
         marks = f"{name}: marks between thousands left out"
         notes += [marks] if self.grouped and marks not in notes else []
-        told_apart = {c: table_forms.several(c, [t for t in told if t]) for c, told in self.joints.items() if self.counts[c]}
+        told_apart = {
+            column: table_forms.several(column, [text for text in told if text.lower() not in cells.BLANKS])
+            for column, told in self.joints.items()
+            if self.counts[column]
+        }
         named = {
             column: told
             for column, told in self.joints.items()

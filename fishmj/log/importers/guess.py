@@ -251,7 +251,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 )
             counted = what == "angle" and measures(g.unit) in ("count", "share", "time")
             why = f"{g.unit} of a servo. {column_units.TICKS}" if counted else f"{g.unit} is no unit of {g.place}"
-            out.append(g.unclear(why, fits=COUNTED * counted))
+            out.append(g.unclear("; ".join(filter(None, (kind.doubt(g.column), why))), fits=COUNTED * counted))
             continue
         if g.said and (g.unit or g.scale != 1.0):
             out.append(g)
@@ -385,9 +385,9 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
             tied += [i for i in lower if clocks[i]]
             for i in stamps:
                 if len(tied) > 1 and i in tied:
-                    out[i] = out[i].unclear(
-                        f"{len(tied)} columns of time{max(clocks.values(), default='')}: which stamps the row?"
-                    )
+                    form = next(filter(None, (found[k].doubt(out[j].column) for j in tied)), "")
+                    several = f"{len(tied)} columns of time{max(clocks.values(), default='')}: which stamps the row?"
+                    out[i] = out[i].unclear(form or several)
                 elif i != best[-1]:
                     out[i] = out[i].left("another column of time is taken")
     places: dict[str, list[int]] = {}

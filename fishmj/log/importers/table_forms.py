@@ -16,22 +16,26 @@ from fishmj.log.limits import bare, quoted, typed
 
 SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
 ROBOTS = {"robot", "robots", "fish", "swimmer", "animal", "individual", "subject", "id"}  # of one that tells robots apart
+STATES = {"state", "status", "phase", "mode", "valid", "flag", "off"}  # of one that tells a trial's parts
 SHORT = ("id", "no", "nr", "number", "index")  # which may number servos, too
 LABEL = {"name", "no", "nr", "number", "index", "label"}  # words beside them
 ROWS, MOST = 10, 32  # of a trial at least, on average; values of a column that tells robots apart, at most
 INTEGERS = (32767.0, -32768.0, 65535.0, 2.0**31 - 1, -(2.0**31), 2.0**32 - 1)  # ends of numbers of 16 and 32 bits
 NINES, HUGE = 999.0, 1e9  # least mark of nines; least value that is a mark where it repeats
+MARKS, FEW = 4, 0.1  # marks of one column at most; share of its other numbers at least, beside marks below 0
 FAR = 0.2  # of a mark, by which it is at least away from all other values
 LOW, HIGH = 2.0**14, 3 * 2.0**14  # between them lies no number of 16 bits around 0 that was written without its sign
 HALF = 2.0**15  # by which they step at 0, up and down
 CLOCK = 3  # usual steps that a row may be after the one before the minute's end
 STEP = (("dt",), ("deltat",), ("timestep",), ("delta", "t"), ("delta", "time"), ("time", "delta"), ("time", "step"))
 _PARTS = {  # of a clock: last words of their columns
-    "hour": {"h", "hh", "hour", "hours"},
-    "minute": {"m", "mm", "min", "minute", "minutes"},
-    "second": {"s", "ss", "sec", "second", "seconds"},
+    "hour": {"h", "hh", "hour", "hours", "stunde", "stunden"},
+    "minute": {"m", "mm", "min", "minute", "minutes", "minuten"},
+    "second": {"s", "ss", "sec", "second", "seconds", "sekunde", "sekunden"},
 }
-_PAIR = re.compile(r"""["']?[A-Za-z_]\w*["']?\s*[=:]\s*["']?[-+]?\.?\d""")
+WITHIN = {"ms": 1000, "us": 10**6, "ns": 10**9}  # units of a part of a second, and how many are one
+_PAIR = re.compile(r"""["']?(?<!\w)[A-Za-z_]\w*["']?\s*[=:]\s*["']?[-+]?\.?\d""")
+_MARK = re.compile(r"[,;\t]")
 
 
 # ------------------------------------------------------------------------------------------------------ robots and trials
@@ -43,13 +47,15 @@ def may_tell_apart(column: str) -> bool:
 
 def several(column: str, values: Sequence) -> str:
     """Sentence on a column whose values (T,), numbers or texts without blanks, tell robots or trials apart; "" for one."""
-    counted = bool(SEVERAL.intersection(header.words(column)))
+    said = set(header.words(column))
+    counted = bool(said & SEVERAL) and not said & STATES and not header.parse(column).unit
     if not len(values) or not (counted or may_tell_apart(column)):
         return ""
     found = list(dict.fromkeys(values))
     apart = may_tell_apart(column) and len(found) <= MOST and len(found) * ROWS <= len(values)
     steps = sum(a != b for a, b in zip(values, values[1:], strict=False))
-    if len(found) < 2 or not (apart or counted and steps * ROWS < len(values)):
+    whole = lambda value: isinstance(value, str) or value % 1 == 0
+    if len(found) < 2 or not (apart or counted and steps * ROWS < len(values) and all(map(whole, found))):
         return ""
     shown = [bare(value) if isinstance(value, str) else f"{value:g}" for value in found[:4]]
     told = f"column {quoted(column)} holds {len(found)} values ({', '.join(shown)}{', ..' * (len(found) > 4)})"
@@ -71,7 +77,7 @@ def looked_at(sheet: Sheet) -> Sheet:
             rest = columns[name][np.isfinite(columns[name])]
             others = f"others are {rest.min():.4g} to {rest.max():.4g}"
             notes.append(f"{sheet.name}: column {quoted(name)}: {told} of {len(values)} cells, {others}: taken for blanks")
-        if name not in doubts and (told := _unsigned(columns[name])):
+        if name not in doubts and (told := unsigned(columns[name])):
             doubts[name] = told
     for column, told in _clock_parts(columns).items():
         doubts.setdefault(column, told)
@@ -80,14 +86,16 @@ def looked_at(sheet: Sheet) -> Sheet:
 
 def _marks(values: np.ndarray) -> list[float]:
     """Numbers that stand for no value: -999, 9999, 65535 or the like, beyond all other values (T,) and far from them."""
-    rest, marks = values[np.isfinite(values)], []
-    while len(rest):
+    said = rest = values[np.isfinite(values)]
+    marks: list[float] = []
+    while len(rest) and len(marks) <= MARKS:
         ends = [float(end) for end in (rest.min(), rest.max()) if _is_mark(float(end), int(np.sum(rest == end)))]
         if not ends:
             break
         marks.append(ends[0])
         rest = rest[rest != ends[0]]
-    if len(rest) < 0.5 * len(values) or len(np.unique(rest[:1000])) < 3:
+    least = FEW if max(marks, default=0.0) < 0 else 0.5  # a reading may stay at 999
+    if not marks or len(marks) > MARKS or len(rest) < least * len(said) or len(np.unique(rest)) < 3:
         return []
     far = lambda mark: max(rest.min() - mark, mark - rest.max()) > max(np.ptp(rest), FAR * abs(mark))
     return marks if all(map(far, marks)) else []
@@ -98,7 +106,7 @@ def _is_mark(value: float, count: int) -> bool:
     return value in INTEGERS or (nines and abs(value) >= NINES) or (count > 1 and abs(value) >= HUGE)
 
 
-def _unsigned(values: np.ndarray) -> str:
+def unsigned(values: np.ndarray) -> str:
     """Sentence on numbers of 16 bits (T,) with a sign that were written without it; "" for others."""
     v = values[np.isfinite(values)]
     if not len(v) or v.min() < 0 or v.max() > 65535 or v.max() < HIGH or np.any((v > LOW) & (v < HIGH)) or v.min() > LOW:
@@ -151,24 +159,29 @@ def without_time(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _clock_parts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
-    """Column of the seconds of a minute, beside one of the minutes -> sentence."""
+    """Columns of the seconds of a minute and of parts of them, beside one of the minutes -> sentence."""
     of = {part: [c for c in columns if header.words(c)[-1:] and header.words(c)[-1] in said] for part, said in _PARTS.items()}
     for column in of["second"]:
         for minute in of["minute"]:
-            s, m = columns[column], columns[minute]
+            rows = np.isfinite(columns[column]) & np.isfinite(columns[minute])
+            s, m = columns[column][rows], columns[minute][rows]
             back = np.flatnonzero(np.diff(s) < 0)
             whole = np.all((m % 1 == 0) & (m >= 0) & (m < 60)) and np.all((s >= 0) & (s < 60))
             if whole and len(back) and np.all(np.diff(m)[back] != 0):
-                parts = ", ".join(quoted(c) for c in (*of["hour"][:1], minute, column))
-                told = f"the clock is in several columns, {parts}: write one column, 3600 h + 60 min + s"
-                return {column: told}
+                unit = {c: header.parse(c).unit for c in columns if header.parse(c).words == ("time",) and not np.any(s % 1)}
+                most = {c: float(np.max(np.nan_to_num(columns[c]), initial=0.0)) for c in unit}
+                part = next((c for c in unit if unit[c] in WITHIN and most[c] < WITHIN[unit[c]]), "")
+                more = f" + {unit[part]} / {WITHIN[unit[part]]:.0f}" if part else ""
+                parts = ", ".join(quoted(c) for c in (*of["hour"][:1], minute, column, *[part] * bool(part)))
+                told = f"the clock is in several columns, {parts}: write one column, 3600 h + 60 min + s{more}"
+                return dict.fromkeys([column, *[part] * bool(part)], told)
     return {}
 
 
 # --------------------------------------------------------------------------------------------------------------- of a file
 def pairs(lines: Sequence[str]) -> str:
     """Sentence on lines of text whose cells are a name and a value each, as `t=0.02, x=1.3`; "" for a table."""
-    found = [line for line in lines if len(_PAIR.findall(line)) > 1]
+    found = [line for line in lines if max(1, len(_MARK.findall(line)) / 2) < len(_PAIR.findall(line))]  # most of its cells
     if len(found) < 2 or 2 * len(found) <= len(lines):
         return ""
     return f"cells of a name and a value, {quoted(found[0][:40])}; expected a row of names, and rows of numbers below it"
