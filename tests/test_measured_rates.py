@@ -45,7 +45,8 @@ def changed(trial: Trial, table: str, **columns) -> Trial:
     return replace(trial, tables={**trial.tables, table: {**trial.tables[table], **columns}})
 
 
-def told(trial: Trial) -> list[str]:
+def notes_of(trial: Trial) -> list[str]:
+    """Texts of the findings, all of which are notes."""
     found = physical_checks.examine(trial, CHECKS, LENGTH)
     assert all(finding.level == physical_checks.NOTE for finding in found)
     return [finding.text for finding in found]
@@ -59,7 +60,7 @@ def told(trial: Trial) -> list[str]:
 def test_a_velocity_of_another_scale_is_told_with_its_unit(seed, sway, times, words):
     trial = swim(seed, water=seed == 1, sway=sway)
     names = [name for name in ("surge", "sway") if name in trial.tables["velocity"]]
-    (text,) = told(changed(trial, "velocity", **{name: times * trial.tables["velocity"][name] for name in names}))
+    (text,) = notes_of(changed(trial, "velocity", **{name: times * trial.tables["velocity"][name] for name in names}))
     assert words in text and "columns.surge" in text and f'unit = "{words.split()[1].rstrip(",")}"' in text
 
 
@@ -74,9 +75,9 @@ def test_a_velocity_in_other_axes_is_told_with_the_ones_that_fit():
         (sway, -surge, "read surge, sway from -sway, surge"),
         (world.real, world.imag, "along x and y of the tank"),
     ):
-        (text,) = told(changed(trial, "velocity", surge=one, sway=two))
+        (text,) = notes_of(changed(trial, "velocity", surge=one, sway=two))
         assert words in text
-    assert "from -surge" in told(changed(swim(2, sway=False), "velocity", surge=-surge))[0]
+    assert "from -surge" in notes_of(changed(swim(2, sway=False), "velocity", surge=-surge))[0]
 
 
 @pytest.mark.parametrize(("table", "name"), [("velocity", "yaw_rate"), ("imu", "wz")])
@@ -88,7 +89,7 @@ def test_a_rate_of_turn_in_degrees_or_against_the_heading_is_told(table, name):
         (np.radians(rate), "in rad/s, read as deg/s"),
         (-rate, "sign = -1"),
     ):
-        (text,) = told(changed(trial, table, **{name: values}))
+        (text,) = notes_of(changed(trial, table, **{name: values}))
         assert words in text and f"{table}: {name}" in text
 
 
@@ -97,7 +98,7 @@ def test_a_trial_that_allows_it_is_not_doubted():
     for times in (100.0, -1.0):
         surge, sway, rate = (times * trial.tables["velocity"][name] for name in ("surge", "sway", "yaw_rate"))
         wrong = changed(trial, "velocity", surge=surge, sway=sway, yaw_rate=rate)
-        assert told(wrong) == [] and len(told(replace(wrong, meta={"origin": "measured"}))) == 2
+        assert notes_of(wrong) == [] and len(notes_of(replace(wrong, meta={"origin": "measured"}))) == 2
 
 
 def scaled(trial: Trial, times: float) -> Trial:
@@ -108,10 +109,10 @@ def scaled(trial: Trial, times: float) -> Trial:
 @pytest.mark.parametrize("times", [0.1, 0.01, 0.001])
 def test_positions_that_are_too_small_are_told_by_the_sway_of_the_body(times):
     trials = [trial for trial in log.read_dataset(calib_folder() / "trials") if "pose" in trial.tables]
-    found = [told(scaled(trial, times)) for trial in trials]
+    found = [notes_of(scaled(trial, times)) for trial in trials]
     assert sum(map(len, found)) == 15  # all that beat before a camera
     assert all("are x and y too small" in text for texts in found for text in texts)
-    assert not any(map(told, trials))
+    assert not any(map(notes_of, trials))
 
 
 def test_a_fish_that_is_held_or_holds_station_is_not_taken_for_a_small_scale():
@@ -119,16 +120,16 @@ def test_a_fish_that_is_held_or_holds_station_is_not_taken_for_a_small_scale():
     pose, rng = trial.tables["pose"], np.random.default_rng(3)
     t, yaw = np.asarray(pose["t"], float), np.asarray(pose["yaw"], float)
     noise = [rng.normal(0, 0.0005, len(t)) for _ in "xy"]
-    assert told(changed(trial, "pose", x=noise[0], y=noise[1])) == []  # on a pin about which it turns
-    assert told(changed(trial, "pose", x=noise[0], y=noise[1], yaw=0 * yaw)) == []  # on a stand
+    assert notes_of(changed(trial, "pose", x=noise[0], y=noise[1])) == []  # on a pin about which it turns
+    assert notes_of(changed(trial, "pose", x=noise[0], y=noise[1], yaw=0 * yaw)) == []  # on a stand
     x, y = (np.asarray(pose[name], float) for name in "xy")
     line = [np.polyval(np.polyfit(t, v, 1), t) for v in (x, y)]
-    assert told(changed(trial, "pose", x=x - line[0], y=y - line[1])) == []  # in an unstated stream
+    assert notes_of(changed(trial, "pose", x=x - line[0], y=y - line[1])) == []  # in an unstated stream
 
 
 @pytest.mark.parametrize("water", [False, True])
 def test_sound_logs_in_random_currents_raise_no_alarm(water):
-    assert [text for seed in range(40) for text in told(swim(seed, water=water, sway=seed % 3 > 0))] == []
+    assert [text for seed in range(40) for text in notes_of(swim(seed, water=water, sway=seed % 3 > 0))] == []
 
 
 def test_import_notes_a_velocity_in_centimetres(tmp_path, capsys, monkeypatch):

@@ -11,7 +11,7 @@ from fishmj.mjcf.description import Robot
 
 
 def in_step(args: Any, robot: Robot, stack: ExitStack) -> Any:
-    """Calls `loopback.in_step.wired`, which is imported only for a robot in lockstep."""
+    """Calls `loopback.lockstep.wired`, which is imported only for a robot in lockstep."""
     return import_module("fishmj.deploy.loopback.lockstep").wired(args, robot, stack)
 
 

@@ -21,7 +21,6 @@ from fishmj.base.store import plain, read_json, write_json
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import fit_pipeline
 from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit, force
-from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit as ellipsoid
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import body_sha256
@@ -140,8 +139,8 @@ def _one(
     """Fits and judges a row. words: text of an interrupted table, which also keeps the stage of the fit under way."""
     train, val, test = parts
     if row.kind == "ellipsoid":
-        fit = ellipsoid.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
-        water = fit.solve() if row.fitted else ellipsoid.Fitted(fit.e, force.default(fit.e), row.inertia, {})
+        fit = ellipsoid_fit.Fit(robot, train, val, dataset={}, settings=settings, inertia=row.inertia, report=report)
+        water = fit.solve() if row.fitted else ellipsoid_fit.Fitted(fit.e, force.default(fit.e), row.inertia, {})
         told = _told(ellipsoid_fit.judge(water, robot, test), seconds=water.seconds, notes=water.notes)
         scores = water.validation | {"judged": fit.score(water.flat, None)}
         return told | {"validation": scores, "coefficients": water.coefficients}

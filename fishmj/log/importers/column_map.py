@@ -29,7 +29,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from fishmj.base.errors import LogError
 from fishmj.log import toml
-from fishmj.log.importers.column_units import SI, UNITS, measures, unit_of
+from fishmj.log.importers.column_units import PARTS, SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import bare, quoted, regular
 from fishmj.log.trial import TABLES, YEAR, TableSpec, table_spec
@@ -136,8 +136,7 @@ class Stamp(_Strict):
     @property
     def parts(self) -> dict[str, float]:
         """Columns that are added to the stamp, with the seconds of one count."""
-        sizes = ((self.nanoseconds, 1e-9), (self.microseconds, 1e-6), (self.milliseconds, 1e-3))
-        return {c: size for c, size in sizes if c}
+        return {column: UNITS[unit][1] for unit, key in PARTS.items() if (column := getattr(self, key))}
 
 
 class TableMap(_Strict):

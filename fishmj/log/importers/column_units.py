@@ -37,6 +37,7 @@ UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to 
     **{"kg": ("mass", math.nan), "W": ("power", math.nan), "%": ("share", math.nan), "count": ("count", math.nan)},
     **{"norm": ("share", math.nan)},  # of full deflection
 }
+PARTS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}  # units of what is added to a stamp -> keys of a map
 _SPELLED = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "s."), "s"),
     **dict.fromkeys(("msec", "msecs", "millis", "millisec", "milliseconds", "millisecond", "millisekunden"), "ms"),

@@ -105,7 +105,7 @@ def _refuse_several(sheet: Sheet, unused: Sequence[str]) -> None:
     """Raises LogError if a column of a file tells several trials or robots apart, which would be one with jumps between them."""
     for column in unused:
         values = sheet.columns[column]
-        if told := sheet.apart.get(column) or table_forms.several(column, values[np.isfinite(values)].tolist()):
+        if told := sheet.apart.get(column) or table_forms.several(column, values[np.isfinite(values)]):
             raise LogError(f"{sheet.where}: {told}")
 
 

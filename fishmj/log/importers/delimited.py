@@ -10,7 +10,6 @@ import sys
 from array import array
 from bisect import bisect_left
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import NoReturn
@@ -264,10 +263,11 @@ class _Reader:
                     self._refuse_two(column, int(self.lines[row]))
         marks = f"{name}: marks between thousands left out"
         notes += [marks] if self.grouped and marks not in notes else []
-        told_apart = {
-            column: table_forms.several(column, [text for text in told if text.lower() not in cells.BLANKS])
+        apart = {
+            column: several
             for column, told in self.joints.items()
             if self.counts[column]
+            and (several := table_forms.several(column, (text for text in told if text.lower() not in cells.BLANKS)))
         }
         named = {
             column: told
@@ -293,8 +293,7 @@ class _Reader:
                 doubts[column] = doubt
         units = {**self.layout.units, **dict.fromkeys(self.dates, DATE)}
         units = {column: unit for column, unit in units.items() if column in columns}
-        sheet = Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts)
-        return replace(sheet, apart={column: told for column, told in told_apart.items() if told})
+        return Sheet(self.path, name, columns, units, np.array(self.lines, int), dict(self.text), tuple(notes), doubts, apart)
 
     def _columns(self, values: array) -> Table:
         both = np.array(values, float).reshape(len(self.lines), len(self.names))

@@ -11,15 +11,13 @@ from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.importers import column_guess, column_units, header, table_forms
 from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
 from fishmj.log.importers.column_map import measured
-from fishmj.log.importers.column_units import SI, measures
+from fishmj.log.importers.column_units import PARTS, SI, UNITS, measures
 from fishmj.log.importers.header import Role, role
 from fishmj.log.importers.joint_names import STATE
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted, typed
 from fishmj.log.trial import table_spec
 
-# units of a second column of the stamp -> its place, and how many are a second
-PARTS = {"ns": ("t.nanoseconds", 1e9), "us": ("t.microseconds", 1e6), "ms": ("t.milliseconds", 1e3)}
 _NUMBER = re.compile(r"\d+")
 COUNTED = ("rad*SCALE",)  # of a servo's ticks or pulses
 FLAT = 5.0  # times that z moves further than y where y is the height
@@ -346,7 +344,7 @@ def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tup
     rising = guesses[part].unit != "ms" or bool((np.diff(seconds + within / 1e3) >= 0).all())
     if not (np.nan_to_num(seconds) % 1 == 0).all() or not rising:
         return None
-    return (whole, part) if 0 <= np.nanmin(within) and np.nanmax(within) < PARTS[guesses[part].unit][1] else None
+    return (whole, part) if 0 <= np.nanmin(within) and np.nanmax(within) * UNITS[guesses[part].unit][1] < 1 else None
 
 
 def _of_header(tied: list[int], guesses: list[Guess], kind: FileKind) -> list[int]:
@@ -372,7 +370,7 @@ def _once(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
     for k in {g.kind for g in out}:
         stamps = [i for i, g in enumerate(out) if g.kind == k and g.place == "t" and g.state != LEFT]
         if len(stamps) == 2 and (pair := _split_stamp(out, stamps, found[k])):
-            place = PARTS[out[pair[1]].unit][0]
+            place = f"t.{PARTS[out[pair[1]].unit]}"
             out[pair[1]] = replace(out[pair[1]], places=(place,), why="added to the seconds beside it")
             stamps = [pair[0]]
         if len(stamps) > 1:

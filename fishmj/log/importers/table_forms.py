@@ -5,12 +5,13 @@ its sheet (`Sheet.doubts`), of the column of time, or of the whole file.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from fishmj.log.importers import header
+from fishmj.log.importers.column_units import PARTS, UNITS
 from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare, quoted, typed
 
@@ -33,7 +34,6 @@ _PARTS = {  # of a clock: last words of their columns
     "minute": {"m", "mm", "min", "minute", "minutes", "minuten"},
     "second": {"s", "ss", "sec", "second", "seconds", "sekunde", "sekunden"},
 }
-WITHIN = {"ms": 1000, "us": 10**6, "ns": 10**9}  # units of a part of a second, and how many are one
 _PAIR = re.compile(r"""["']?(?<!\w)[A-Za-z_]\w*["']?\s*[=:]\s*["']?[-+]?\.?\d""")
 _MARK = re.compile(r"[,;\t]")
 
@@ -45,14 +45,15 @@ def may_tell_apart(column: str) -> bool:
     return bool(said & (SEVERAL | ROBOTS)) and said <= SEVERAL | ROBOTS | LABEL
 
 
-def several(column: str, values: Sequence) -> str:
+def several(column: str, values: Iterable) -> str:
     """Sentence on a column whose values (T,), numbers or texts without blanks, tell robots or trials apart; "" for one."""
-    said = set(header.words(column))
+    said, alone = set(header.words(column)), may_tell_apart(column)
     counted = bool(said & SEVERAL) and not said & STATES and not header.parse(column).unit
-    if not len(values) or not (counted or may_tell_apart(column)):
+    if not counted and not alone:
         return ""
+    values = list(values)
     found = list(dict.fromkeys(values))
-    apart = may_tell_apart(column) and len(found) <= MOST and len(found) * ROWS <= len(values)
+    apart = alone and len(found) <= MOST and len(found) * ROWS <= len(values)
     steps = sum(a != b for a, b in zip(values, values[1:], strict=False))
     whole = lambda value: isinstance(value, str) or value % 1 == 0
     if len(found) < 2 or not (apart or counted and steps * ROWS < len(values) and all(map(whole, found))):
@@ -170,8 +171,8 @@ def _clock_parts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
             if whole and len(back) and np.all(np.diff(m)[back] != 0):
                 unit = {c: header.parse(c).unit for c in columns if header.parse(c).words == ("time",) and not np.any(s % 1)}
                 most = {c: float(np.max(np.nan_to_num(columns[c]), initial=0.0)) for c in unit}
-                part = next((c for c in unit if unit[c] in WITHIN and most[c] < WITHIN[unit[c]]), "")
-                more = f" + {unit[part]} / {WITHIN[unit[part]]:.0f}" if part else ""
+                part = next((c for c in unit if unit[c] in PARTS and most[c] * UNITS[unit[c]][1] < 1), "")
+                more = f" + {unit[part]} / {1 / UNITS[unit[part]][1]:.0f}" if part else ""
                 parts = ", ".join(quoted(c) for c in (*of["hour"][:1], minute, column, *[part] * bool(part)))
                 told = f"the clock is in several columns, {parts}: write one column, 3600 h + 60 min + s{more}"
                 return dict.fromkeys([column, *[part] * bool(part)], told)
