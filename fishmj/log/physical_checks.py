@@ -160,10 +160,7 @@ def _failed_reads(trial: Trial, bounds: Plausible, name: str = "joint") -> Itera
 
 
 def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    for level, text in _failed_reads(trial, bounds, "pose"):
-        share = float(np.mean(lost_poses(trial.tables["pose"], bounds)[0]))
-        why = f"; that is {100 * share:.0f} % of all: are two fish in one file? Split it, or leave the cells of lost poses blank"
-        yield level, text + (why if share > MANY else "")
+    yield from _failed_reads(trial, bounds, "pose")
     pose = trial.tables.get("pose", {})
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return

@@ -62,7 +62,9 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
             first = int(np.argmax(rows))
             seen.append(f"{name} {int(rows.sum())} times ({values[k, first]:.3g} first, at t = {t[first]:.3f} s)")
             bad |= rows
-    return bad, [f"pose: {int(bad.sum())} of {len(t)} rows left out, the fish was lost in {'; '.join(seen)}"] if seen else []
+    why = f"; that is {100 * bad.mean():.0f} % of all: are two fish in one file? Split it, or leave the cells of lost poses blank"
+    note = f"pose: {int(bad.sum())} of {len(t)} rows left out, the fish was lost in {'; '.join(seen)}"
+    return bad, [note + (why if bad.mean() > MANY else "")] if seen else []
 
 
 def _is_seen(values: np.ndarray, k: int, rows: np.ndarray) -> bool:
