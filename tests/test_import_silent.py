@@ -9,6 +9,7 @@ import pytest
 from lab_files import N, near, only
 
 from fishmj import log
+from fishmj.base.errors import LogError
 from fishmj.log import physical_checks
 from fishmj.log.importers import cells, joint_switches
 
@@ -296,6 +297,15 @@ def test_a_tracker_that_stops_or_turns_the_fish_round_is_noted_without_joints():
     assert any("repeat their values" in f.text for f in physical_checks.examine(pose(held=True)))
     assert any("off its heading" in f.text for f in physical_checks.examine(pose(turned=np.pi)))
     assert not list(physical_checks.examine(pose()))
+
+
+@pytest.mark.parametrize("table", ["pose", "cmd", "joint", "imu"])
+def test_a_trial_in_memory_with_an_empty_table_is_one_clear_error(table):
+    columns = {"pose": ("x", "y", "yaw"), "cmd": ("c1",), "joint": ("j1",), "imu": ("wz",)}[table]
+    empty = {name: np.zeros(0) for name in ("t", *columns)}
+    for made in ({}, empty):
+        with pytest.raises(LogError, match=f"table '{table}' has no rows; leave an empty table out of the trial"):
+            physical_checks.examine(log.Trial({}, {**pose().tables, "joint": {"t": T, "j1": T}, table: made}))
 
 
 @pytest.mark.parametrize("rate", [10, 30])

@@ -32,6 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fishmj.base.errors import LogError
 from fishmj.log.course import (
     DRIVEN,
     FEWEST,
@@ -58,6 +59,7 @@ from fishmj.log.unread_rows import (
     MANY,
     OFTEN,
     UNREAD,
+    failed_reads,
     failed_rows,
     folds,
     fresh_rows,
@@ -109,8 +111,11 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     Args:
         only: names of checks; all by default. length: of the robot [m]; without it stride and sway are not judged.
 
-    Raises LogError: `[plausible]` of the trial is no table of bounds.
+    Raises LogError: a table has no rows, or `[plausible]` of the trial is no table of bounds.
     """
+    for table, columns in trial.tables.items():
+        if not min(map(np.size, columns.values()), default=0):
+            raise LogError(f"{trial.name or 'trial'}: table {table!r} has no rows; leave an empty table out of the trial")
     bounds = bounds_of(trial.meta, trial.name or "trial")
     about = "body lengths that a beat carries the fish through the water"
     scale = PhysicalCheck("stride", about, "stride", partial(stride, length=length))
@@ -118,18 +123,19 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     small = PhysicalCheck("sway", aside, "sway", partial(sway, length=length))
     checks = (*CHECKS, scale, small) if length else CHECKS
     wanted = set(only) or {check.name for check in checks}
-    seen = _without_lost(trial, bounds)
+    found = lost_poses(trial.tables.get("pose", {}), bounds)
+    seen = _without_lost(trial, found[0])
     return [
         PhysicalFinding(check.name, level, f"{text}; if it is right, allow it with {check.bound} in [plausible] of meta.toml")
         for check in checks
         if check.name in wanted
-        for level, text in check.find(trial if check.find is _lost_poses else seen, bounds)
+        for level, text in (_lost_poses(trial, bounds, found) if check.find is _lost_poses else check.find(seen, bounds))
     ]
 
 
-def _without_lost(trial: Trial, bounds: Plausible) -> Trial:
-    """The trial without the rows of its lost poses, where these are many."""
-    if "pose" not in trial.tables or not (lost := lost_poses(trial.tables["pose"], bounds)[0]).mean() > MANY:
+def _without_lost(trial: Trial, lost: np.ndarray) -> Trial:
+    """The trial without the rows of its lost poses (T,), where these are many."""
+    if not lost.size or lost.mean() <= MANY:
         return trial
     pose = {column: np.asarray(values)[~lost] for column, values in trial.tables["pose"].items()}
     return replace(trial, tables={**trial.tables, "pose": pose})
@@ -153,15 +159,19 @@ def without_failed_reads(trial: Trial) -> tuple[Trial, list[str]]:
 
 
 # ------------------------------------------------------------------------------------------------------------------ checks
-def _failed_reads(trial: Trial, bounds: Plausible, name: str = "joint") -> Iterator[tuple[str, str]]:
-    if name in trial.tables:
-        _, notes = UNREAD[name](trial.tables[name], bounds)
-        yield from ((USE, note.replace(" left out, ", " to leave out, ")) for note in notes)
+def _failed_reads(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    if "joint" in trial.tables:
+        yield from _to_leave_out(failed_reads(trial.tables["joint"], bounds)[1])
 
 
-def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    yield from _failed_reads(trial, bounds, "pose")
+def _to_leave_out(notes: list[str]) -> Iterator[tuple[str, str]]:
+    return ((USE, note.replace(" left out, ", " to leave out, ")) for note in notes)
+
+
+def _lost_poses(trial: Trial, bounds: Plausible, found: tuple[np.ndarray, list[str]] | None = None) -> Iterator[tuple[str, str]]:
     pose = trial.tables.get("pose", {})
+    lost, notes = found or lost_poses(pose, bounds)
+    yield from _to_leave_out(notes)
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return
     paces = np.hypot(*drifts(pose)[1])
@@ -171,7 +181,6 @@ def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             f"pose: the fish moves at {pace:.3g} m/s (median over a second; at most {bounds.leap:g} m/s is plausible): are x and"
             " y in cm, or in px? State their unit or scale in the map",
         )
-    lost, _ = lost_poses(pose, bounds)
     t, x, y, yaw = (np.asarray(pose[name], float)[~lost] for name in ("t", "x", "y", "yaw"))
     few = max(4, len(t) / 50)
     turn = np.abs(np.angle(np.exp(1j * np.diff(yaw))))
