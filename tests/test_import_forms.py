@@ -6,6 +6,8 @@ import pytest
 
 from fishmj.log import physical_checks
 from fishmj.log.importers import table_forms
+from fishmj.log.importers.binary_tables import read_parquet
+from fishmj.log.unread_rows import lost_poses
 
 ROWS = 400
 T = 0.02 * np.arange(ROWS)
@@ -48,6 +50,34 @@ def test_two_robots_or_trials_in_one_file_are_refused(column, names, mixed, brin
     assert bring(one | {column: [names[0]] * ROWS})[0] == 0
 
 
+@pytest.mark.parametrize("coded", [True, False])
+@pytest.mark.parametrize("names", [["A", "B"], ["A", "A"], ["A", None]])
+def test_names_of_robots_in_a_parquet_file_are_those_of_a_csv(names, coded, tmp_path, capsys, monkeypatch):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    told = pa.array([names[k >= ROWS // 2] for k in range(ROWS)])
+    pq.write_table(pa.table(swim() | {"robot": told.dictionary_encode() if coded else told}), tmp_path / "run.parquet")
+    run = lab_files.importer(tmp_path, capsys, monkeypatch)
+    code, _, err = run(tmp_path / "run.parquet", "--yes")
+    assert code == (2 if "B" in names else 0), err
+    assert ("column 'robot' holds 2 values (A, B): several trials or robots in one file" in err) == ("B" in names)
+    assert run(tmp_path / "run.parquet", "--yes", "--set", "robot=skip", out=tmp_path / "one")[0] == 0
+    code, _, err = run(tmp_path / "run.parquet", "--write-map", tmp_path / "MAP.toml", out=None)
+    assert code == (2 if "B" in names else 0) and ("several trials or robots" in err) == ("B" in names)
+
+
+def test_a_robot_for_each_episode_is_one_robot_a_trial(tmp_path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = swim() | {"episode_index": np.arange(ROWS) // (ROWS // 2), "robot": ["A"] * (ROWS // 2) + ["B"] * (ROWS // 2)}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    assert [sheet.apart for sheet in read_parquet(tmp_path / "a.parquet")] == [{}, {}]
+    pq.write_table(pa.table(columns | {"robot": ["A", "B"] * (ROWS // 2)}), tmp_path / "b.parquet")
+    assert all("holds 2 values (A, B)" in sheet.apart["robot"] for sheet in read_parquet(tmp_path / "b.parquet"))
+
+
 @pytest.mark.parametrize("none", ["", "nan", "N/A", "None"])
 def test_a_blank_is_no_second_robot(none, bring):
     assert bring(swim() | {"robot": [none if k % 3 else "A" for k in range(ROWS)]})[0] == 0
@@ -73,19 +103,33 @@ def test_a_part_or_a_quantity_of_a_trial_counts_no_trials(column):
 
 
 @pytest.mark.parametrize(
-    ("lost", "share"), [(np.arange(ROWS) % 20 > 12, 33), (np.arange(ROWS) % 20 < 7, 38), (np.arange(ROWS) % 20 < 16, 81)]
+    ("lost", "share"), [(np.arange(ROWS) % 20 > 12, 35), (np.arange(ROWS) % 20 < 7, 35), (np.arange(ROWS) % 20 < 16, 80)]
 )
-def test_of_many_lost_poses_the_user_decides(lost, share, bring, tmp_path):
-    """The fish is out of view a third of the time, from the first row on in one of the logs."""
+def test_of_many_lost_poses_the_user_decides(lost, share, bring, tmp_path, monkeypatch):
+    """The fish is out of view a third of the time, from the first row on in one of the logs; they are sought once."""
     columns = swim() | {name: np.where(lost, 0.0, swim()[name]) for name in ("x_mm", "y_mm")}
     code, said = bring(columns)
     assert code == 0 and f"{share} % of all: are two fish in one file?" in said
     made = lab_files.only(tmp_path / "set")
     assert len(made.tables["pose"]["t"]) == ROWS
+    searches = []
+    monkeypatch.setattr(physical_checks, "lost_poses", lambda *of: searches.append(of) or lost_poses(*of))
     found = physical_checks.examine(made)
+    assert len(searches) == 1
     assert (found[0].check, found[0].level) == ("lost pose", physical_checks.USE)
     assert all(f.level != physical_checks.IMPORT for f in found), found
     assert physical_checks.without_failed_reads(made)[0] is made
+
+
+@pytest.mark.parametrize(
+    "lost", [np.arange(ROWS) < 5, np.arange(ROWS) < 90, np.arange(ROWS) >= 310], ids=["short", "first", "last"]
+)
+@pytest.mark.parametrize("columns", [("x_mm", "y_mm"), ("x_mm", "y_mm", "yaw_deg")])
+def test_a_place_that_a_tracker_repeats_at_an_end_is_lost_whatever_the_heading_does(lost, columns, bring, tmp_path):
+    """A compass goes on where the camera has not found the fish yet."""
+    code, said = bring(swim() | {name: np.where(lost, 0.0, swim()[name]) for name in columns})
+    assert code == 0 and f"pose: {lost.sum()} of 400 rows left out, the fish was lost in x {lost.sum()} times (0 first" in said
+    assert "was the fish moved" not in said
 
 
 def digits(seconds: np.ndarray, form: str) -> list[str]:

@@ -152,3 +152,11 @@ def test_commands_and_positions_of_two_clocks_that_share_little_are_refused(tmp_
     assert len(read_robot_logs([tmp_path / "log.npz"], said)[0]) == 1
     dated = guess_columns([n.replace("log", "dated") for n in table.columns if n != "time"], ("s", "e"), ("s", "e"), torques=True)
     assert len(read_robot_logs([tmp_path / "dated.npz"], dated)[0]) == 1
+
+
+def test_two_robots_in_one_log_are_refused(tmp_path):
+    rows = [f"{k % 50 / 100},0.1,0.2,1,2,{'AB'[k // 50]}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,q1,q2,tau1,tau2,robot", *rows]) + "\n")
+    columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    with pytest.raises(LogError, match=r"'robot' holds 2 values \(A, B\): several trials or robots in one file; .* for each$"):
+        read_robot_logs([tmp_path / "log.csv"], columns)

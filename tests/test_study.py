@@ -228,6 +228,7 @@ TABLES = [
     ("half blank", ["t,v", *(r if i % 2 else r.split(",")[0] + "," for i, r in enumerate(ROWS))], "lack a number"),
     ("text", ["t,v", *(r.split(",")[0] + ",fast" for r in ROWS)], "v"),
     ("no column", ["t,w", *ROWS], "no column 'v'"),
+    ("two fish", ["t,v,fish", *(f"{row},{'AB'[k > 19]}" for k, row in enumerate(ROWS))], "several trials or robots in one file"),
     ("back", ["t,v", *ROWS[:20], *ROWS[5:]], "time does not rise"),
     ("huge", ["t,v", *ROWS[:5], "2.6,1e9", *ROWS[6:]], "is the unit in [columns] right?"),
     ("unit row", ["t,v", "s,cm/s", *ROWS], "is in cm/s, and [columns] speed says m/s"),

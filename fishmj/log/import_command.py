@@ -16,7 +16,7 @@ from fishmj.base.store import Manifest, write_text
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import importers, measurements, physical_checks, tracked_point
 from fishmj.log.dataset import write_dataset
-from fishmj.log.importers import gather, guess, guessed, other_files, registry
+from fishmj.log.importers import gather, guess, guessed, other_files, registry, table_forms
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
 from fishmj.log.importers.set_option import overrides
@@ -392,6 +392,9 @@ def _write_map(args: Namespace, found: ImportResult) -> None:
     if layouts != 1:
         one = f"{layouts} layouts of files, one map cannot describe them; import them one after the other"
         raise LogError(f"{args.source[0]}: {one if layouts else 'no files that need a map; leave --write-map out'}")
+    for kinds, made in found.guesses:
+        for sheet in (sheet for kind in kinds for sheet in kind.sheets):
+            table_forms.refuse_several(sheet, {g.column for g in made if g.said or g.place}, skips=True)
     if found.maps:
         lines = [written(found.maps[0]), *(line for kinds, made in found.guesses for line in guessed.remarks(kinds, made))]
         todo = "read it, mend it"

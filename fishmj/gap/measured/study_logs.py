@@ -21,7 +21,7 @@ from fishmj.gap.measured.folder import trials
 from fishmj.gap.measured.study_schema import COLUMNS, StudyInput
 from fishmj.log import Trial
 from fishmj.log.dataset import take
-from fishmj.log.importers import delimited
+from fishmj.log.importers import delimited, table_forms
 from fishmj.log.importers.column_units import UNITS
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted
@@ -106,6 +106,8 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
     sheet, stamp = delimited.read(path), study.stamp
     if stamp is None:
         raise LogError(f"{study.where} [columns] t: got nothing, expected the column of the stamps")
+    used = {stamp.column, *(c.column for c in study.columns.values() if c.column), *study.given.groups.by}
+    table_forms.refuse_several(sheet, used)
     t = stamp.factor * _cells(sheet, stamp.column, "t", stamp.unit)
     if stamp.nanoseconds:
         t = t + 1e-9 * _cells(sheet, stamp.nanoseconds, "t", "")

@@ -33,7 +33,7 @@ from fishmj.base.errors import FishmjError, LogError
 from fishmj.gap.records.attitude import PLACE, QUATERNION, unit_quaternions
 from fishmj.log import Trial, numbered
 from fishmj.log.clock_alignment import in_common
-from fishmj.log.importers import header
+from fishmj.log.importers import header, table_forms
 from fishmj.log.importers.column_map import Column, Stamp, map_table
 from fishmj.log.importers.column_units import SI, UNITS, measures, time_unit, unit_of
 from fishmj.log.importers.gather import is_recording, read_sheets
@@ -380,6 +380,9 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     Raises LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
     tables, notes = {}, [note for sheet in table.sheets for note in sheet.notes]
+    used = {columns.time.column, *(c.column for part in (columns.joint, columns.actuator, columns.base) for c in part.values())}
+    for sheet in table.sheets:
+        table_forms.refuse_several(sheet, used)
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
         if not part:
             continue

@@ -37,6 +37,7 @@ UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to 
     **{"kg": ("mass", math.nan), "W": ("power", math.nan), "%": ("share", math.nan), "count": ("count", math.nan)},
     **{"norm": ("share", math.nan)},  # of full deflection
 }
+STAMPED = ("s", "ms", "us", "ns")  # units of stamps
 PARTS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}  # units of what is added to a stamp -> keys of a map
 _SPELLED = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "s."), "s"),
@@ -150,8 +151,8 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
     t = t[np.isfinite(t)]
     if len(t) < 2:
         return "", "fewer than two stamps"
-    for scale, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")):
-        if 1e9 * scale < t[0] < 4e9 * scale:
+    for unit in STAMPED:
+        if 1e9 < t[0] * UNITS[unit][1] < 4e9:
             return unit, f"{unit} since 1970"
     step = np.diff(t)
     step = step[step > 0]
@@ -161,9 +162,7 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
     for low, high, unit in ((5e-4, 0.4, "s"), (2.0, 400.0, "ms"), (2e3, 4e5, "us"), (2e6, 4e8, "ns")):
         if low <= middle <= high:
             return unit, f"steps of {middle:.4g}"
-    allowed = [
-        unit for unit, scale in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if 1e-4 * scale <= middle <= 100 * scale
-    ]
+    allowed = [unit for unit in STAMPED if 1e-4 <= middle * UNITS[unit][1] <= 100]
     allowed += [unit for unit in LONG if 5e-4 <= middle * UNITS[unit][1] <= 0.4]
     return "", f"steps of {middle:.4g} may be {' or '.join(allowed) or 'none of s, ms, us, ns'}"
 
@@ -341,9 +340,9 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
 
 def _stamps_against(unit: str, t: np.ndarray) -> str:
     """Reason that the unit in the name of the stamps is impossible; "" if it is possible."""
-    seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
     finite = t[np.isfinite(t)]
-    if seconds:
+    if unit in STAMPED:
+        seconds = UNITS[unit][1]
         step = np.diff(finite)
         middle = seconds * float(np.median(step[step > 0])) if (step > 0).any() else SHORT
         if middle < 0.999 * SHORT:

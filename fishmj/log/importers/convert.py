@@ -15,7 +15,7 @@ from fishmj.log.clock_alignment import in_common
 from fishmj.log.importers import header, joint_switches, table_forms
 from fishmj.log.importers.cells import frame_doubt
 from fishmj.log.importers.column_map import ColumnMap, Stamp, TableMap, measured
-from fishmj.log.importers.column_units import SI, clocks_apart, fitting, time_unit
+from fishmj.log.importers.column_units import SI, UNITS, clocks_apart, fitting, time_unit
 from fishmj.log.importers.registry import renamed, trial_of
 from fishmj.log.importers.sheet import DATE, EPOCH, Sheet
 from fishmj.log.limits import bare, quoted, typed
@@ -49,7 +49,7 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
     notes = [note for sheet in sheets for note in sheet.notes]
     used = {c for entry in wanted.tables.values() for c in _sources(entry)} | set(wanted.skip)
     for sheet in sheets:
-        _refuse_several(sheet, [column for column in sheet.columns if column not in used])
+        table_forms.refuse_several(sheet, used, skips=True)
     for table, entry in wanted.tables.items():
         sheet = _sheet(table, entry, sheets)
         taken.add(sheet.name)
@@ -99,14 +99,6 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
     line = f"{place if place == 't' else f'columns.{doubt.column}'} = {toml.inline({'column': source.column, 'unit': fits[0]})}"
     units = " or ".join(f'"{unit}"' for unit in fits)
     return f"{text}. Say unit = {units}: {line} in the map, or --set {typed(source.column)}={place}:{fits[0]}{allow}"
-
-
-def _refuse_several(sheet: Sheet, unused: Sequence[str]) -> None:
-    """Raises LogError if a column of a file tells several trials or robots apart, which would be one with jumps between them."""
-    for column in unused:
-        values = sheet.columns[column]
-        if told := sheet.apart.get(column) or table_forms.several(column, values[np.isfinite(values)]):
-            raise LogError(f"{sheet.where}: {told}")
 
 
 def _sources(entry: TableMap) -> list[str]:
@@ -327,8 +319,8 @@ def _unwrapped(
     turns = {"a time of day passes midnight": DAY}
     if of_day:
         turns |= {"a time of day without AM or PM passes twelve": HALF_DAY, "a time of day passes the hour": HOUR}
-    clocks = (("us", 1e-6), ("ms", 1e-3)) if stamp.scale == 1.0 else ()  # frames are counted in no us
-    for unit, factor in (*clocks, ("its unit", stamp.factor)):
+    clocks = {unit: UNITS[unit][1] for unit in ("us", "ms") if stamp.scale == 1.0}  # frames are counted in no us
+    for unit, factor in (clocks | {"its unit": stamp.factor}).items():
         turns |= {f"a counter of {bits} bits of {unit} begins again": 2.0**bits * factor for bits in (16, 31, 32)}
     usual = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     for told, period in turns.items():

@@ -17,8 +17,9 @@ from pathlib import Path
 from fishmj.base import console, names
 from fishmj.base.errors import FishmjError, LogError, UsageError
 from fishmj.log.importers import delimited, guess, mcap, message_recordings, other_files, rosbag2, table_forms
+from fishmj.log.importers.binary_tables import NPZ, PARQUET, TORCH, read_parquet, read_tables
 from fishmj.log.importers.quaternion import with_headings
-from fishmj.log.importers.sheet import NPZ, PARQUET, TORCH, Sheet, read_parquet, read_tables
+from fishmj.log.importers.sheet import Sheet
 from fishmj.log.limits import bare, most_bytes, quoted, regular
 from fishmj.log.trial import TABLES, Trial
 from fishmj.log.trial_folder import FLAT_FILE, META_FILE, read_trial

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fishmj.log.importers.column_units import UNITS, measures, other_unit, unit_of
+from fishmj.log.importers.column_units import STAMPED, UNITS, measures, other_unit, unit_of
 
 # Words in English, German, French, Spanish, Italian and Portuguese that have one meaning in a log. The user decides on `tension`
 # (of a tendon) and `cap` (a capacity).
@@ -62,7 +62,6 @@ _GLUED = {  # names without a mark between their words; a unit comes last, so no
     **{"accx": "acc x", "accy": "acc y", "accz": "acc z", "gyrox": "gyro x", "gyroy": "gyro y", "gyroz": "gyro z"},
     **{"ψ": "psi", "θ": "theta"},
 }
-STAMPED = ("s", "ms", "us", "ns")  # units of stamps
 NO_SUFFIX = {"g", "min", "h", "in"}  # units that a name may end with and mean another thing
 AXES = {"x", "y", "z"}
 TRANSLATION = {"tx": "x", "ty": "y", "tz": "z"}  # of the trajectories of TUM, as evo writes them

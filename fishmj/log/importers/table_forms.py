@@ -5,11 +5,12 @@ its sheet (`Sheet.doubts`), of the column of time, or of the whole file.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from fishmj.base.errors import LogError
 from fishmj.log.importers import header
 from fishmj.log.importers.column_units import PARTS, UNITS
 from fishmj.log.importers.sheet import Sheet
@@ -62,8 +63,19 @@ def several(column: str, values: Iterable) -> str:
     told = f"column {quoted(column)} holds {len(found)} values ({', '.join(shown)}{', ..' * (len(found) > 4)})"
     servos = not counted and header.words(column)[0] in SHORT
     what, each = ("trials, robots or servos", ", a column for each servo") if servos else ("trials or robots", "")
-    todo = f"write a file for each{each}, or --set {typed(column)}=skip to read them as one"
-    return f"{told}: several {what} in one file; {todo}"
+    return f"{told}: several {what} in one file; write a file for each{each}"
+
+
+def refuse_several(sheet: Sheet, used: Collection[str | None], skips: bool = False) -> None:
+    """Raises LogError if a column that is not used tells trials or robots apart, which would be one with jumps between them.
+
+    Args:
+        skips: the user may say --set COLUMN=skip.
+    """
+    for column, values in sheet.columns.items():
+        if column not in used and (told := sheet.apart.get(column) or several(column, values[np.isfinite(values)])):
+            more = f", or --set {typed(column)}=skip to read them as one" * skips
+            raise LogError(f"{sheet.where}: {told}{more}")
 
 
 # --------------------------------------------------------------------------------------------------------- marks, 16 bits
