@@ -147,6 +147,38 @@ def test_the_digits_of_a_clock_are_no_seconds(form, bring):
     assert code == 2 and "run.csv:202:time: its digits are those of a clock" in said and "12:04:00" in said
 
 
+@pytest.mark.parametrize("start", [55.0, 775.0, 3595.0])
+@pytest.mark.parametrize("form", ["{h:02d}{m:02d}{s:02d}.{c:02d}", "{m:d}{s:02d}.{c:02d}", "{h:d}{m:02d}{s:02d}{c:02d}0"])
+def test_the_digits_of_the_first_hour_are_no_seconds(start, form, bring):
+    """59 s before 100 s, where the swim goes on; a rest of 40 s after a minute looks alike in the stamps alone."""
+    rest = {k: v for k, v in swim().items() if k != "time_s"}
+    if start < 3600 - 8 or "h" in form:
+        code, said = bring({"time": digits(T + start, form), **rest})
+        assert code == 2 and "run.csv:252:time: its digits are those of a clock" in said and "if it is a rest, split" in said
+    rng = np.random.default_rng(1)
+    noisy = [np.round(v + rng.normal(0, 0.3, ROWS), 2) for v in rest.values()]
+    stamps = np.array(digits(T + start, "{h:d}{m:02d}{s:02d}.{c:02d}"), float)
+    assert table_forms.clock_digits(stamps, noisy) is not None
+    swum = [np.where(T + start % 60 < 60, v, v[::-1]) for v in noisy]  # another swim after the rest
+    assert table_forms.clock_digits(stamps, swum) is None
+
+
+@pytest.mark.parametrize("part", [{"usec": 1e6}, {"us": 1e6}, {"msec": 1e3}, {}])
+def test_the_seconds_of_a_minute_go_on_after_it(part, bring, tmp_path):
+    """A log that begins at 0 may hold runs of a minute each, so it is refused."""
+    for start in (0.0, 55.0):
+        t = 0.2 * np.arange(ROWS) + start + 1e-9
+        stamps = (
+            {"sec": t % 60 // 1, **{name: np.round(size * (t % 1)) for name, size in part.items()}}
+            if part
+            else {"time_s": t % 60}
+        )
+        code, said = bring({**stamps, **without("time_s")})
+        assert code == (0 if start else 2), said
+        assert ("the seconds of a minute begin again 2 times; 60 s added" if start else "Seconds of a minute? Write") in said
+    lab_files.near(np.ptp(lab_files.only(tmp_path / "set").tables["cmd"]["t"]), 0.2 * (ROWS - 1))
+
+
 @pytest.mark.parametrize("start", [0.0, 43436.0, 120359.0, 1.76e9, 20260.0])
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
 def test_counted_time_is_no_clock(start, unit):
@@ -170,6 +202,30 @@ def test_a_mark_for_no_value_is_blanked_and_named(mark, column, bring):
     columns[column] = [mark if k in (50, 51, 130, 270) else f"{v:.4f}" for k, v in enumerate(columns[column])]
     code, said = bring(columns)
     assert code == 0 and f"column '{column}': {float(mark):.15g} in 4 of 400 cells" in said and "taken for blanks" in said
+
+
+@pytest.mark.parametrize(("column", "others"), [("batt_V", 7.4), ("yaw_deg", 90.0), ("x_mm", -1500.0), ("servo1_pos_deg", 300.0)])
+def test_minus_one_far_from_all_other_values_is_a_mark(column, others):
+    values = others + swim()[column] % 1
+    values[[50, 51, 130]] = -1.0
+    assert table_forms._marks(values) == [-1.0]
+    values[60] = -999.0
+    assert set(table_forms._marks(values)) == {-999.0, -1.0}
+
+
+def test_minus_one_of_a_supply_is_blanked_and_named(bring):
+    code, said = bring(swim() | {"batt_V": np.where(np.arange(ROWS) % 90 == 7, -1.0, swim()["batt_V"])})
+    assert code == 0 and "column 'batt_V': -1 in 5 of 400 cells, others are 7.392 to 7.4: taken for blanks" in said
+
+
+@pytest.mark.parametrize("least", [0.0, 0.9, 2.0])
+def test_minus_one_near_other_values_stays(least):
+    """A command of full deflection, a confidence, a heading beside 0; and one of two states."""
+    values = least + (98 if least == 2 else 0.1) * np.abs(np.sin(T))
+    values[[50, 51]] = -1.0
+    assert table_forms._marks(values) == [] and table_forms._marks(np.where(T < 4, -1.0, 200 + T)) == []
+    values[60] = -999.0
+    assert table_forms._marks(values) == [-999.0]
 
 
 @pytest.mark.parametrize("lost", [np.arange(ROWS) % 50 == 10, np.arange(ROWS) % 10 > 3])
@@ -235,6 +291,10 @@ FORMS = {
     "clock with milliseconds in words": (
         {"min": CLOCK // 60 % 60, "sec": CLOCK % 60 // 1, "msec": MS, **without("time_s")},
         "2 column(s) unclear: sec: the clock is in several columns, 'min', 'sec', 'msec'",
+    ),
+    "clock with microseconds": (
+        {"min": CLOCK // 60 % 60, "sec": CLOCK % 60 // 1, "usec": 1e3 * MS, **without("time_s")},
+        "2 column(s) unclear: sec: the clock is in several columns, 'min', 'sec', 'usec'",
     ),
     "clock with a blank": (
         {"Minute": BLANK, "Sekunde": np.round(CLOCK % 60, 2), "latency_ms": 5 + 0 * T, **without("time_s")},

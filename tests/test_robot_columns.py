@@ -160,3 +160,12 @@ def test_two_robots_in_one_log_are_refused(tmp_path):
     columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
     with pytest.raises(LogError, match=r"'robot' holds 2 values \(A, B\): several trials or robots in one file; .* for each$"):
         read_robot_logs([tmp_path / "log.csv"], columns)
+
+
+def test_stamps_in_the_digits_of_a_clock_are_refused(tmp_path):
+    t = 55 + 0.02 * np.arange(400)
+    rows = [f"{v // 60:.0f}{v % 60:05.2f},{np.sin(v):.5f},{np.cos(v):.5f},1,2" for v in t]
+    (tmp_path / "log.csv").write_text("\n".join(["t,q1,q2,tau1,tau2", *rows]) + "\n")
+    columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    with pytest.raises(LogError, match="log.csv:252:t: its digits are those of a clock, 100 after 59.98; expected seconds"):
+        read_robot_logs([tmp_path / "log.csv"], columns)

@@ -354,9 +354,8 @@ class LogTable(NamedTuple):
             if c.scale == 1.0 and measures(said) in ("angle", "length") and UNITS[said][1] != abs(c.factor):
                 told = f"the file says {said}, expected {c.unit or SI[measures(said)]}"
                 raise LogError(f"{sheet.where}: column {name!r}: {told}; state its unit in a map, --columns MAP.toml")
-        values = [
-            c.factor * (np.asarray(sheet.columns[name], float) - c.zero) for c, (_, name) in zip(columns, found, strict=True)
-        ]
+        table_forms.refuse_digits(sheet, clock.column)
+        values = [c.factor * (sheet.columns[name] - c.zero) for c, (_, name) in zip(columns, found, strict=True)]
         return np.asarray(sheet.columns[clock.column], float) * clock.factor, np.stack(values, 1)
 
 

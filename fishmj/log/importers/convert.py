@@ -23,7 +23,7 @@ from fishmj.log.trial import Table, Trial, table_spec
 from fishmj.log.trial_check import Implausible, Place, bounds_of
 from fishmj.log.unread_rows import fresh_rows
 
-DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3600.0  # s; clocks further apart than a day are different clocks
+DAY, HALF_DAY, HOUR, MINUTE = 86_400.0, 43_200.0, 3600.0, 60.0  # s; clocks further apart than a day are different clocks
 AHEAD = 60.0  # s, between the last command and the first row of the swim
 NEAR, SLACK = 10, 0.01  # steps, or part of the period of a counter that may go by while it turns
 _PIECES = re.compile(r"(\d+)")
@@ -296,8 +296,8 @@ def _seconds(sheet: Sheet, stamp: Stamp) -> tuple[np.ndarray, bool]:
     dated = stamp.unit == DATE or sheet.units.get(stamp.column) == DATE
     if dated and stamp.unit != DATE and (doubt := frame_doubt(raw)):
         raise LogError(f"{sheet.place(0, stamp.column)}: {doubt}")
-    if not dated and (told := table_forms.clock_digits(raw)):
-        raise LogError(f"{sheet.place(told[0], stamp.column)}: {told[1]}")
+    if not dated:
+        table_forms.refuse_digits(sheet, stamp.column)
     t = raw * (1.0 if dated else stamp.factor)
     for column, size in stamp.parts.items():
         t = t + size * sheet.columns[column]
@@ -317,6 +317,8 @@ def _unwrapped(
         return t, []
     of_day = absolute and abs(t[0]) <= DAY
     turns = {"a time of day passes midnight": DAY}
+    if t[0] > 1.0 > t[back + 1].max():  # each run of a logger begins alike
+        turns |= {"the seconds of a minute begin again": MINUTE}
     if of_day:
         turns |= {"a time of day without AM or PM passes twelve": HALF_DAY, "a time of day passes the hour": HOUR}
     clocks = {unit: UNITS[unit][1] for unit in ("us", "ms") if stamp.scale == 1.0}  # frames are counted in no us
@@ -370,6 +372,8 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: St
             advice = "The stamps are coarser than the rate; name another column of time"
         elif often == len(t) - 1:
             advice = "The newest row comes first: reverse the rows"
+        elif 0 <= t.min() < 1.0 and MINUTE - 1.0 < t.max() < MINUTE:
+            advice = "Seconds of a minute? Write one column, 60 min + s. If the logger began again, split the file there"
         elif often <= FEW:
             advice = "The clock was set or the logger began again: split the file there, or name another column of time"
         else:

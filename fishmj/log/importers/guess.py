@@ -338,10 +338,11 @@ def _family(place: str) -> str:
 def _split_stamp(guesses: list[Guess], stamps: list[int], kind: FileKind) -> tuple[int, int] | None:
     """Columns of seconds and of the nano-, micro- or milliseconds within them, as ROS and C export stamps."""
     whole, part = sorted(stamps, key=lambda i: guesses[i].unit != "s")
-    if guesses[whole].unit != "s" or guesses[part].unit not in PARTS or guesses[part].said:
+    if guesses[whole].unit != "s" or guesses[part].unit not in PARTS or guesses[part].said or kind.doubt(guesses[part].column):
         return None
     seconds, within = (kind.values(guesses[i].column) for i in (whole, part))
-    rising = guesses[part].unit != "ms" or bool((np.diff(seconds + within / 1e3) >= 0).all())
+    step = np.diff(seconds + within / 1e3)
+    rising = guesses[part].unit != "ms" or bool(((step >= 0) | (step < -59)).all())  # at a minute's end it may begin again
     if not (np.nan_to_num(seconds) % 1 == 0).all() or not rising:
         return None
     return (whole, part) if 0 <= np.nanmin(within) and np.nanmax(within) * UNITS[guesses[part].unit][1] < 1 else None

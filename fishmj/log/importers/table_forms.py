@@ -13,7 +13,7 @@ import numpy as np
 from fishmj.base.errors import LogError
 from fishmj.log.importers import header
 from fishmj.log.importers.column_units import PARTS, UNITS
-from fishmj.log.importers.sheet import Sheet
+from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted, typed
 
 SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
@@ -24,11 +24,13 @@ LABEL = {"name", "no", "nr", "number", "index", "label"}  # words beside them
 ROWS, MOST = 10, 32  # of a trial at least, on average; values of a column that tells robots apart, at most
 INTEGERS = (32767.0, -32768.0, 65535.0, 2.0**31 - 1, -(2.0**31), 2.0**32 - 1)  # ends of numbers of 16 and 32 bits
 NINES, HUGE = 999.0, 1e9  # least mark of nines; least value that is a mark where it repeats
+NONE, MOST_SEEN = -1.0, 0.75  # the mark in a column of numbers beyond 1, and their share at least
 MARKS, FEW = 4, 0.1  # marks of one column at most; share of its other numbers at least, beside marks below 0
 FAR = 0.2  # of a mark, by which it is at least away from all other values
 LOW, HIGH = 2.0**14, 3 * 2.0**14  # between them lies no number of 16 bits around 0 that was written without its sign
 HALF = 2.0**15  # by which they step at 0, up and down
 CLOCK = 3  # usual steps that a row may be after the one before the minute's end
+SMOOTH, MOST_ON = 0.2, 0.75  # of a column's deviation, the usual bend of one that moves smoothly; share of those that go on
 STEP = (("dt",), ("deltat",), ("timestep",), ("delta", "t"), ("delta", "time"), ("time", "delta"), ("time", "step"))
 _PARTS = {  # of a clock: last words of their columns
     "hour": {"h", "hh", "hour", "hours", "stunde", "stunden"},
@@ -98,11 +100,14 @@ def looked_at(sheet: Sheet) -> Sheet:
 
 
 def _marks(values: np.ndarray) -> list[float]:
-    """Numbers that stand for no value: -999, 9999, 65535 or the like, beyond all other values (T,) and far from them."""
+    """Numbers that stand for no value: -999, 9999, 65535 or the like, beyond all other values (T,) and far from them.
+
+    So does -1 in a few cells of a column of larger numbers.
+    """
     said = rest = values[np.isfinite(values)]
     marks: list[float] = []
     while len(rest) and len(marks) <= MARKS:
-        ends = [float(end) for end in (rest.min(), rest.max()) if _is_mark(float(end), int(np.sum(rest == end)))]
+        ends = [float(end) for end in (rest.min(), rest.max()) if _is_mark(float(end), rest)]
         if not ends:
             break
         marks.append(ends[0])
@@ -114,9 +119,13 @@ def _marks(values: np.ndarray) -> list[float]:
     return marks if all(map(far, marks)) else []
 
 
-def _is_mark(value: float, count: int) -> bool:
+def _is_mark(value: float, among: np.ndarray) -> bool:
+    """Returns True if one end of some numbers (N,) looks like a mark."""
+    others = among[among != value]
+    if value == NONE and len(others) >= MOST_SEEN * len(among):
+        return bool(np.abs(others).min() > max(abs(NONE), np.ptp(others)))
     nines = set(f"{abs(value):.12g}".partition("e")[0].replace(".", "").rstrip("0")) == {"9"}
-    return value in INTEGERS or (nines and abs(value) >= NINES) or (count > 1 and abs(value) >= HUGE)
+    return value in INTEGERS or (nines and abs(value) >= NINES) or (len(among) - len(others) > 1 and abs(value) >= HUGE)
 
 
 def unsigned(values: np.ndarray) -> str:
@@ -131,10 +140,11 @@ def unsigned(values: np.ndarray) -> str:
 
 
 # ------------------------------------------------------------------------------------------------------------------- time
-def clock_digits(stamps: np.ndarray) -> tuple[int, str] | None:
+def clock_digits(stamps: np.ndarray, columns: Collection[np.ndarray] = ()) -> tuple[int, str] | None:
     """(row, sentence) on stamps (T,) in the digits of a clock, HHMMSS after a date or none, with or without ms; None for others.
 
-    At a minute's end they jump by 41, where the clock goes on by its usual step; no digits of minutes and seconds reach 60.
+    At a minute's end they jump by 41, where the clock goes on by its usual step; no digits of minutes and seconds reach 60. In
+    the first hour, and of MMSS, a jump from 59 to 100 may also be a rest: the other columns (T,) tell, which go on or do not.
     """
     rows = np.flatnonzero(np.isfinite(stamps))
     t = stamps[rows]
@@ -145,7 +155,8 @@ def clock_digits(stamps: np.ndarray) -> tuple[int, str] | None:
         on_date = np.all((month >= 1) & (month <= 12) & (day >= 1) & (day <= 31))
         dated = bool(on_date and np.all((year >= 1990) & (year < 2100)))
         short = bool(on_date and np.all((year >= 10) & (year < 100)))
-        if not (dated or short or (date.max() == 0 and whole.min() >= 1e4)):
+        brief = bool(date.max() == 0 and whole.min() < 1e4)
+        if not (dated or short or date.max() == 0):
             continue
         if hour.max() > 23 or minute.max() > 59 or second.max() > 59:
             continue
@@ -155,12 +166,33 @@ def clock_digits(stamps: np.ndarray) -> tuple[int, str] | None:
         ends = np.flatnonzero(turns & (step > 0) & (step <= max(CLOCK * usual, 1.0)) & (np.diff(t / size) >= 40))
         if (not len(ends) and not dated) or not 0 < usual < 60 or 2 * len(ends) < turns.sum():
             continue
+        if brief and not _goes_on([values[rows] for values in columns], ends):
+            continue
         i = int(ends[0]) if len(ends) else 0
-        seen = f"{t[i + 1]:.17g} after {t[i]:.17g}" if len(ends) else f"{t[0]:.17g}"
+        seen = f"{t[i + 1]:.16g} after {t[i]:.16g}" if len(ends) else f"{t[0]:.16g}"
         as_clock = f"{hour[i + 1]:02.0f}:{minute[i + 1]:02.0f}:{second[i + 1]:02.0f}"
-        todo = f"write colons, such as {as_clock}, or 3600 h + 60 min + s"
+        todo = f"write colons, such as {as_clock}, or 3600 h + 60 min + s" + "; if it is a rest, split the file there" * brief
         return int(rows[i + 1]), f"its digits are those of a clock, {seen}; expected seconds: {todo}"
     return None
+
+
+def refuse_digits(sheet: Sheet, column: str) -> None:
+    """Raises LogError for a column of stamps in the digits of a clock."""
+    others = [values for name, values in sheet.columns.items() if name != column]
+    if sheet.units.get(column) != DATE and (told := clock_digits(sheet.columns[column], others)):
+        raise LogError(f"{sheet.place(told[0], column)}: {told[1]}")
+
+
+def _goes_on(columns: Iterable[np.ndarray], ends: np.ndarray) -> bool:
+    """Returns True if most of the columns (T,) that move smoothly do so from these rows to the next, too: no time went by."""
+    on, moves = [], False
+    for values in columns:
+        step, bend = np.abs(np.diff(values)), np.abs(np.diff(values, 2, prepend=np.nan))
+        usual = float(np.nanquantile(bend, 0.95)) if np.isfinite(bend).any() else 0.0
+        if 0 < usual < SMOOTH * float(np.nanstd(values)):
+            on += [*(bend[ends] <= CLOCK * usual)]
+            moves |= bool(np.nanmedian(step[ends]) > np.nanmedian(step) > 0)
+    return moves and float(np.mean(on)) > MOST_ON
 
 
 def without_time(columns: Mapping[str, np.ndarray]) -> str:
