@@ -132,6 +132,53 @@ def test_sound_logs_in_random_currents_raise_no_alarm(water):
     assert [text for seed in range(40) for text in notes_of(swim(seed, water=water, sway=seed % 3 > 0))] == []
 
 
+def steady(times: float, water: bool = False, current: complex = 0.0, beats: float = 0.4, **flow) -> list[str]:
+    """Notes on a fish that swims straight at one pace; its velocity is `times` the true one, over ground or through the water."""
+    t = np.arange(0, 20, 0.02)
+    yaw, aside = 0.5 + 0.1 * np.sin(6 * t), 0.004 * np.sin(6 * t + 1) * np.exp(2.07j)
+    place = (0.2 * np.exp(0.5j) + current) * t + aside
+    body = times * (np.gradient(place, 0.02) - current * water) * np.exp(-1j * yaw)
+    tables = {
+        "joint": {"t": t, "j1": beats * np.sin(6 * t), "j2": beats * np.sin(6 * t - 1)},
+        "pose": {"t": t, "x": place.real, "y": place.imag, "yaw": yaw},
+        "velocity": {"t": t, "surge": body.real, "sway": body.imag},
+    }
+    return [f.text for f in physical_checks.examine(Trial({"flow": flow} if flow else {}, tables), ["velocity"])]
+
+
+STILL = {"speed": 0.0, "direction": 0.0, "known": True}
+STREAM = {"speed": 0.15, "direction": 1.0, "known": True}
+
+
+def test_the_velocity_of_a_steady_swim_is_judged_by_its_mean_where_the_water_is_known():
+    for times, words in ((0.5, "0.5 times"), (0.01, "in m/s, read as cm/s"), (2.0, "2 times"), (100.0, "in cm/s, read as m/s")):
+        (text,) = steady(times, **STILL)
+        assert words in text
+    assert "read as cm/s" in steady(0.01, current=0.15 * np.exp(1j), **STREAM)[0]
+    for water in (False, True):  # over ground, and through the water
+        for times in (0.7, 1.0, 1.4):
+            assert steady(times, **STILL) == []
+        assert steady(1.0, water, 0.15 * np.exp(1j), **STREAM) == []
+
+
+def test_the_velocity_of_a_steady_swim_in_unstated_water_is_judged_where_no_current_explains_it():
+    """Half the way may be the current's; a hundredth of it is no velocity of a fish that beats, but of one that drifts."""
+    assert "in m/s, read as cm/s" in steady(0.01)[0]
+    assert steady(0.5) == steady(0.01, beats=0.0) == steady(0.01, speed=0.0, direction=0.0, known=False) == []
+    assert steady(1.0, True, 0.3 * np.exp(0.5j)) == steady(1.0, True, -0.19 * np.exp(0.5j)) == []
+
+
+@pytest.mark.parametrize("water", [False, True])
+def test_sound_logs_in_known_currents_raise_no_alarm(water):
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rng.uniform(size=2)
+        size, bearing = rng.uniform(0, 0.4), rng.uniform(-np.pi, np.pi)  # those of the swim
+        assert (
+            notes_of(swim(seed, water=water, sway=seed % 3 > 0, flow={"speed": size, "direction": bearing, "known": True})) == []
+        )
+
+
 def test_import_notes_a_velocity_in_centimetres(tmp_path, capsys, monkeypatch):
     bring, trial = lab_files.importer(tmp_path, capsys, monkeypatch), swim(0)
     pose, velocity, joint = (trial.tables[name] for name in ("pose", "velocity", "joint"))

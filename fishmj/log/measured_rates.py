@@ -16,10 +16,12 @@ from fishmj.log.course import (
     OTHER,
     PACE,
     SEEN,
+    beating,
     common_clock,
     correlation,
     delayed,
     mean_over,
+    stream,
 )
 from fishmj.log.importers.column_units import UNITS
 from fishmj.log.trial import Trial
@@ -33,6 +35,7 @@ SLOW = 0.06  # s, median step from which a channel is too coarse for the turns o
 TILTED = 0.2  # share of the rate of turn that a gyroscope shows at least: its axis may be tilted
 NEAR = log(1.15)  # of a ratio to that of a unit
 TANK = "tank"
+FAINT = 10.0  # times that a beating fish moves faster than its velocity, in water of which nothing is stated
 WAIVED = 10.0  # times; where a trial allows more, neither sign nor axes are judged
 
 
@@ -40,7 +43,7 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     """Findings on the measured velocity against the way of the pose: scale, sign, axes, frame.
 
     What a steady current adds is left out of both, so that a velocity through the water fits, too; means only where no
-    current is so fast.
+    current is so fast, where the water is known, or of a fish that beats and would be carried by a current ten times as fast.
     """
     pose, measured = trial.tables.get("pose", {}), trial.tables.get("velocity", {})
     names: list[str] = [name for name in ("surge", "sway") if name in measured]
@@ -66,7 +69,13 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     rest = lambda v: v - current @ np.linalg.lstsq(current, v, rcond=1e-6)[0]
     found = _misread({reading: rest(v) for reading, v in moved.items()}, rest(seen), bounds)
     fast, pace = (float(np.median(np.abs(v))) for v in (moved[""], seen))
-    if found is None and fast - pace > bounds.leap and fast > bounds.agree * max(pace, MOVES):
+    speed, bearing = stream(trial)
+    water = np.full(len(grid), speed * np.exp(1j * bearing))
+    own = float(np.median(np.abs(seen - mean(water if "sway" in names else (water * ahead.conj()).real))))
+    known, least, most = trial.value("flow.known"), min(pace, own), max(pace, own, MOVES)
+    above = fast > bounds.agree * most and (known or fast - pace > bounds.leap)
+    swims = known or (known is None and fast * FAINT < least and beating(trial) is not None)
+    if found is None and (above or 0 < fast * bounds.agree < least > 2 * MOVES and swims):
         found = "", fast / max(pace, MOVES), 1.0
     if found is None:
         return
@@ -83,7 +92,7 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         NOTE,
         f"velocity: it is {times:.3g} times the motion of x and y (1 / {bounds.agree:g} to {bounds.agree:g} is plausible):"
         f" {_scaled('surge', times, 'speed', names)}, or correct the scale of x and y; a velocity through the"
-        " water in a changing current differs, too: the schema's is over ground",
+        " water in a changing or unstated current differs, too: the schema's is over ground",
     )
 
 
