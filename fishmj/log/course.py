@@ -199,11 +199,11 @@ def stride(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str
 
     A fish that is pushed, or in an unknown stream, is not judged; nor one that glides.
     """
-    found = None if trial.value("flow.known") is False else beating(trial)
+    found = None if trial.value("flow.known") is False else beating_swim(trial)
     if found is None:
         return
     _, _, (vx, vy), beat = found
-    flow, bearing = stream(trial)
+    flow, bearing = stated_stream(trial)
     pace = float(np.median(np.hypot(vx - flow * np.cos(bearing), vy - flow * np.sin(bearing))))
     lengths = pace / (beat * length)
     if lengths > bounds.stride:
@@ -223,7 +223,7 @@ def sway(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str, 
     an angle has no scale. A fish on a stand does not swing, one on a pin goes nowhere: the way must be many times the sway. A
     camera may track the point about which the body turns: the way of a beat must be short, too.
     """
-    if (found := beating(trial)) is None:
+    if (found := beating_swim(trial)) is None:
         return
     grid, way, drift, beat = found
     pose = trial.tables["pose"]
@@ -245,7 +245,7 @@ def sway(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str, 
 
 
 # ---------------------------------------------------------------------------------------------------------------------- helpers
-def beating(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
+def beating_swim(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
     """Common clock (T,) s, its rows in stretches of `PACE` with a beat, drifts (2, K) m/s in them, and frequency, Hz.
 
     None for a fish that hardly beats, is pushed or in air, or has no joints or pose.
@@ -364,7 +364,7 @@ def _courses(trial: Trial, factor: float = 1.0) -> tuple[np.ndarray, np.ndarray,
     begin, moved = drifts(pose)
     if len(begin) < FEWEST:
         return None
-    speed, bearing = stream(trial)
+    speed, bearing = stated_stream(trial)
     t, yaw = np.asarray(pose["t"], float), np.unwrap(factor * np.asarray(pose["yaw"], float))
     total = np.r_[0.0, np.cumsum(np.diff(t) * (yaw[1:] + yaw[:-1]) / 2)]
     vx, vy = moved[0] - speed * np.cos(bearing), moved[1] - speed * np.sin(bearing)
@@ -374,7 +374,7 @@ def _courses(trial: Trial, factor: float = 1.0) -> tuple[np.ndarray, np.ndarray,
     return (begin[moving], np.arctan2(vy, vx)[moving], mean[moving]) if moving.sum() >= FEWEST else None
 
 
-def stream(trial: Trial) -> tuple[float, float]:
+def stated_stream(trial: Trial) -> tuple[float, float]:
     """Stated speed [m/s] and direction [rad] of the water; 0 where none is stated."""
     stated = (trial.value(f"flow.{key}", 0.0) for key in ("speed", "direction"))
     speed, bearing = (float(value) if isinstance(value, int | float) else 0.0 for value in stated)

@@ -16,12 +16,12 @@ from fishmj.log.course import (
     OTHER,
     PACE,
     SEEN,
-    beating,
+    beating_swim,
     common_clock,
     correlation,
     delayed,
     mean_over,
-    stream,
+    stated_stream,
 )
 from fishmj.log.importers.column_units import UNITS
 from fishmj.log.trial import Trial
@@ -69,12 +69,12 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     rest = lambda v: v - current @ np.linalg.lstsq(current, v, rcond=1e-6)[0]
     found = _misread({reading: rest(v) for reading, v in moved.items()}, rest(seen), bounds)
     fast, pace = (float(np.median(np.abs(v))) for v in (moved[""], seen))
-    speed, bearing = stream(trial)
+    speed, bearing = stated_stream(trial)
     water = np.full(len(grid), speed * np.exp(1j * bearing))
     own = float(np.median(np.abs(seen - mean(water if "sway" in names else (water * ahead.conj()).real))))
     known, least, most = trial.value("flow.known"), min(pace, own), max(pace, own, MOVES)
     above = fast > bounds.agree * most and (known or fast - pace > bounds.leap)
-    swims = known or (known is None and fast * FAINT < least and beating(trial) is not None)
+    swims = known or (known is None and fast * FAINT < least and beating_swim(trial) is not None)
     if found is None and (above or 0 < fast * bounds.agree < least > 2 * MOVES and swims):
         found = "", fast / max(pace, MOVES), 1.0
     if found is None:
