@@ -1,5 +1,6 @@
 """The functional environment: every draw fills its range and no more, and the policy sees what the task says."""
 
+from dataclasses import dataclass
 from functools import partial
 from math import pi, radians
 
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 from raft import KEY, ROBOT, environment, push, raft
 
-from fishmj import engines
+from fishmj import engines, suite
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import TaskOptions, TaskSpec
+from fishmj.tasks.gym.fish_env import FishVectorEnv
+from fishmj.tasks.reference import StationHoldReference
 
 LIMIT = constant("task", "episode_steps")
 ROUGH = dict(noise=1.0, turbulence="default", intensity=(0.02, 0.08))
@@ -184,3 +187,33 @@ def test_memory_is_newest_first_with_the_actions_between():
 def test_hidden_groups_are_zero_and_the_others_are_not(hidden, blank):
     _, state = raft(hide=hidden, turbulence="none")
     assert np.flatnonzero(~np.asarray(state.obs).any(0)).tolist() == blank
+
+
+@dataclass(frozen=True, kw_only=True)
+class Brief(StationHoldReference):
+    """Episodes of which those with the least of the fourth draw last 0.6 s."""
+
+    seconds: float = 2.0
+
+    def launch(self, xp, uniforms):
+        return super().launch(xp, uniforms)._replace(seconds=xp.where(uniforms[:, 3] < 0.5, 0.6, self.seconds))
+
+
+def test_episodes_of_an_own_task_end_after_their_own_seconds():
+    env, action, ends = environment(course=Brief), np.zeros((64, 3)), []
+    envs = FishVectorEnv(64, task=Brief, engine="batch")
+    state, step = env.reset(KEY, 64), jax.jit(env.step)
+    envs.reset(seed=0)
+    short = envs.episodes.scenario.launch.seconds == 0.6
+    for _ in range(10):
+        state = step(state, action)
+        ends.append((int(state.truncated.sum()), envs.step(action)[3]))
+    assert not ends[1][0] and 16 < ends[2][0] < 48 and 16 < short.sum() < 48
+    assert not ends[1][1].any() and (ends[2][1] == short).all() and ends[9][1][~short].all()
+    timed = suite.load("fish", Brief, task_kwargs={"random": 1})
+    lasted = set()
+    for _ in range(8):
+        timed.reset()
+        steps = 1 + next(k for k in range(20) if timed.step(np.zeros(3)).last())
+        lasted.add((steps, float(timed.task.scenario.launch.seconds[0])))
+    assert lasted == {(3, 0.6), (10, 2.0)}

@@ -213,8 +213,8 @@ def test_an_own_task_loads_in_gymnasium_and_dm_control_with_its_options(line):
     import gymnasium
 
     env = gymnasium.make("fishmj.tasks.gym:fishmj/StationHold-v0", task=f"{EXAMPLE}:LineFollow", speed=0.1, engine="batch")
-    seen, _ = env.reset(seed=1)
-    assert env.unwrapped.rules.name == "own_code.LineFollow" or env.unwrapped.rules.name == "LineFollow"
+    env.reset(seed=1)
+    assert env.unwrapped.rules.name in ("own_code.LineFollow", "LineFollow")
     before = env.unwrapped.episodes.target.copy()
     _, reward, terminated, truncated, info = env.step(np.zeros(3))
     np.testing.assert_allclose(env.unwrapped.episodes.target - before, [[0.1 * 0.2, 0.0]], atol=1e-9)
@@ -222,8 +222,7 @@ def test_an_own_task_loads_in_gymnasium_and_dm_control_with_its_options(line):
     timed = suite.load("fish", f"{EXAMPLE}:LineFollow", task_kwargs={"random": 1, "speed": 0.1})
     timed.reset()
     step = timed.step(np.zeros(3))
-    pose = timed.task.window.pose[0, -1]
-    expected = min(timed.task.trace.velocity[0, :, 0].mean() / 0.1, 1.0) - 2.0 * abs(pose[1])
+    expected = min(timed.task.trace.velocity[0, :, 0].mean() / 0.1, 1.0) - 2.0 * abs(timed.task.window.pose[0, -1, 1])
     assert step.reward == pytest.approx(expected)
     with pytest.raises(ConfigError, match="unknown option 'sped'"):
         suite.load("fish", line, task_kwargs={"sped": 0.1})
@@ -255,6 +254,7 @@ def test_a_task_without_reward_and_end_has_the_papers():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
+        ({"launch": lambda self, xp, u: Good.launch(self, xp, u)._replace(seconds=3.0 + u[:, 0])}, "at most the task's 2 s"),
         ({"launch": None}, "has no launch(xp, uniforms)"),
         ({"launch": lambda self, xp: None}, "expected launch(xp, uniforms)"),
         ({"launch": lambda self, xp, u: u}, "launch gave ndarray; expected EpisodeStart"),

@@ -22,7 +22,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import DrawOptions, slide
-from fishmj.tasks.reference import StepTruth, course_of
+from fishmj.tasks.reference import StepTruth, course_of, lengths
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water import flow
 from fishmj.water.choice import in_water
@@ -68,7 +68,7 @@ class EnvState(NamedTuple):
     camera: Any  # (B,) int
     command: Any  # (B, J) last bus command, rad
     tick: Any  # (B,) int
-    count: Any  # (B,) int, control steps in this episode
+    count: Any  # (B,) int, control steps of this episode, and those by which it is shorter than others
     key: Any
     obs: Any  # (B, memory x n_obs + (memory - 1) x J)
     final_obs: Any
@@ -275,9 +275,9 @@ class StationHold:
         if self.options.flow_bounds is not None:
             slow, fast = self.options.flow_bounds
             launch = launch._replace(start=launch.start._replace(speed=slow + (fast - slow) * draws[:, 5]))
-        start = launch.start
         if self.options.at_target:
-            start = task.begun_at_target(jnp, start, draws, self.options.at_target)
+            launch = launch._replace(start=task.begun_at_target(jnp, launch.start, draws, self.options.at_target))
+        start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity_bounds
         intensity = low + (high - low) * u[:, 4]
@@ -295,10 +295,11 @@ class StationHold:
         no = jnp.zeros((n,), bool)
         blank = jnp.zeros((n, self.n_input))
         target = self._target(launch, jnp.zeros((n,), jnp.int32)) if self.moves else start.target
+        count = self.limit - lengths(jnp, launch, self.limit, self.robot.timing.control_dt)
         state = EnvState(
             fish=fish, params=params, current=current, target=target, history=history, camera=camera, command=joints,
             joints=jnp.zeros((n, self.sensors.behind, 2 * self.n_act)),
-            tick=jnp.zeros((n,), jnp.int32), count=jnp.zeros((n,), jnp.int32), key=key, obs=blank, final_obs=blank,
+            tick=jnp.zeros((n,), jnp.int32), count=count, key=key, obs=blank, final_obs=blank,
             privileged=None, final_privileged=None, reward=zero, terminated=no, truncated=no,
             distance=jnp.linalg.norm(start.pose[:, :2] - target, axis=-1), diverged=no,
             launch=launch if self.moves else None,

@@ -29,7 +29,7 @@ from fishmj.engines import FishParams, FishState, Steps, Trace
 from fishmj.mjcf.description import COMMAND_PATHS, Robot
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, options_of
+from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, lengths, options_of
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
@@ -300,14 +300,14 @@ class TaskSpec:
         if s.flow_bounds is not None:
             low, high = s.flow_bounds
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
-        if s.at_target:
-            start = task.begun_at_target(np, start, draws.start, s.at_target)
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:
             if getattr(self.course, "heads_by_flow", False):  # the heading is given against the flow: it turns along
                 turned = (direction - start.direction)[:, None] * np.array([0.0, 0.0, 1.0])
                 start = start._replace(pose=start.pose + turned)
             start = start._replace(direction=direction + 0.0 * start.direction)
+        if s.at_target:
+            start = task.begun_at_target(np, start, draws.start, s.at_target)
         start = start._replace(**fixed)
         low, high = s.intensity_bounds
         intensity = low + (high - low) * u[:, 4]
@@ -318,6 +318,10 @@ class TaskSpec:
     def target(self, scenario: EpisodeDraw, count) -> np.ndarray:
         """Targets (B, 2) m after `count` (B,) control steps."""
         return self.course.target(np, scenario.launch, np.asarray(count) * self.dt)
+
+    def lengths(self, scenario: EpisodeDraw) -> np.ndarray:
+        """Returns the lengths (B,) of the episodes in control steps."""
+        return lengths(np, scenario.launch, self.limit, self.dt)
 
     def reward(self, step: StepTruth) -> np.ndarray:
         """Reward (B,) of a control step: the task's own, or the paper's."""
@@ -377,7 +381,7 @@ class Episodes(ControlLoop):
         return StepResult(
             reward=np.where(self.diverged, 0.0, rules.reward(truth)),
             terminated=terminated,
-            truncated=((self.count >= rules.limit) & ~terminated) | self.diverged,
+            truncated=((self.count >= rules.lengths(self.scenario)) & ~terminated) | self.diverged,
             distance=distance,
             power=trace.power.mean(-1),
             diverged=self.diverged,
@@ -431,6 +435,8 @@ def _merged(old, new, rows):
     if isinstance(old, Current):
         parts = [_merged(a, b, rows) for a, b in zip(old[:5], new[:5], strict=True)]
         return Current(*parts, *old[5:])
+    if old is None:
+        return None
     if isinstance(old, tuple):
         parts = [_merged(a, b, rows) for a, b in zip(old, new, strict=True)]
         return type(old)(*parts) if hasattr(old, "_fields") else tuple(parts)

@@ -9,6 +9,7 @@ length does.
 """
 
 import inspect
+import math
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from math import pi
@@ -29,7 +30,7 @@ POINTS = 4096  # of the arc-length table; its error is below 1e-6 m
 LONGEST = 1e6  # s
 TRIED = 5  # episodes of the trial run
 UNASKED = ("observe", "observation", "observations", "get_observation", "get_obs", "observation_space", "observation_spec")
-SHAPES = ((3,), (2,), (), (), ())  # of pose, target, speed, direction, phase, without the batch axis
+SHAPES = ((3,), (2,), (), (), (), ())  # of pose, target, speed, direction, phase, seconds, without the batch axis
 
 
 class EpisodeStart(NamedTuple):
@@ -37,6 +38,7 @@ class EpisodeStart(NamedTuple):
 
     start: Start
     phase: Any  # (B,) m, arc length of the target's path already behind it; 0 where the target stays
+    seconds: Any = None  # (B,) s, length of each episode, at most the task's; None: the task's
 
 
 class StepTruth(NamedTuple):
@@ -47,6 +49,12 @@ class StepTruth(NamedTuple):
     distance: Any  # (B,) m, to it
     action: Any  # (B, J) in [-1, 1], as it acts: clipped
     time: Any  # (B,) s since the episode began, at the end of the step
+
+
+def lengths(xp, launch: EpisodeStart, limit: int, dt: float):
+    """Returns the lengths (B,) of episodes in control steps of dt [s], at most `limit`."""
+    seconds = math.inf + 0.0 * launch.phase if launch.seconds is None else launch.seconds
+    return xp.clip(xp.ceil(xp.minimum(seconds / dt, limit) - 1e-3), 1, limit).astype("int32")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,8 +242,12 @@ class OwnReference:
                 f"{self.what}: launch gave {type(found).__name__}; "
                 "expected EpisodeStart(Start(pose, target, speed, direction), phase)"
             )
-        for value, name, shape in zip((*found.start, found.phase), (*found.start._fields, "phase"), SHAPES, strict=True):
+        values = (*found.start, found.phase, *(() if found.seconds is None else (found.seconds,)))
+        for value, name, shape in zip(values, (*found.start._fields, "phase", "seconds"), SHAPES, strict=False):
             self._checked(value, f"launch: {name}", (n, *shape))
+        if isinstance(found.seconds, np.ndarray) and not ((found.seconds > 0) & (found.seconds <= self.seconds)).all():
+            got = f"{found.seconds.min():g} to {found.seconds.max():g} s"
+            raise OwnCodeError(f"{self.what}: launch: seconds {got}; expected above 0, at most the task's {self.seconds:g} s")
         return found
 
     def target(self, xp, launch: EpisodeStart, t):

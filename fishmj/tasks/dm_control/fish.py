@@ -183,7 +183,7 @@ class FishTask(base.Task):
         """0.0 outside the domain, 1.0 when time is up, else None."""
         if self.rules.outside(np, self.window.pose[:, -1])[0]:
             return 0.0
-        return 1.0 if self.count >= self.rules.limit else None
+        return 1.0 if self.count >= self.rules.lengths(self.scenario)[0] else None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
         """(J,) in [-1, 1], float64."""
