@@ -22,7 +22,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import DrawOptions, slide
-from fishmj.tasks.reference import StepTruth, course_of, lengths
+from fishmj.tasks.reference import StepTruth, course_of, episode_lengths
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water import flow
 from fishmj.water.choice import in_water
@@ -295,7 +295,7 @@ class StationHold:
         no = jnp.zeros((n,), bool)
         blank = jnp.zeros((n, self.n_input))
         target = self._target(launch, jnp.zeros((n,), jnp.int32)) if self.moves else start.target
-        count = self.limit - lengths(jnp, launch, self.limit, self.robot.timing.control_dt)
+        count = self.limit - episode_lengths(jnp, launch, self.limit, self.robot.timing.control_dt)
         state = EnvState(
             fish=fish, params=params, current=current, target=target, history=history, camera=camera, command=joints,
             joints=jnp.zeros((n, self.sensors.behind, 2 * self.n_act)),

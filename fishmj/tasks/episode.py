@@ -29,7 +29,7 @@ from fishmj.engines import FishParams, FishState, Steps, Trace
 from fishmj.mjcf.description import COMMAND_PATHS, Robot
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, lengths, options_of
+from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, episode_lengths, options_of
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
@@ -321,7 +321,7 @@ class TaskSpec:
 
     def lengths(self, scenario: EpisodeDraw) -> np.ndarray:
         """Returns the lengths (B,) of the episodes in control steps."""
-        return lengths(np, scenario.launch, self.limit, self.dt)
+        return episode_lengths(np, scenario.launch, self.limit, self.dt)
 
     def reward(self, step: StepTruth) -> np.ndarray:
         """Reward (B,) of a control step: the task's own, or the paper's."""

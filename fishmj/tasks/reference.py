@@ -51,7 +51,7 @@ class StepTruth(NamedTuple):
     time: Any  # (B,) s since the episode began, at the end of the step
 
 
-def lengths(xp, launch: EpisodeStart, limit: int, dt: float):
+def episode_lengths(xp, launch: EpisodeStart, limit: int, dt: float):
     """Returns the lengths (B,) of episodes in control steps of dt [s], at most `limit`."""
     seconds = math.inf + 0.0 * launch.phase if launch.seconds is None else launch.seconds
     return xp.clip(xp.ceil(xp.minimum(seconds / dt, limit) - 1e-3), 1, limit).astype("int32")
