@@ -150,12 +150,6 @@ def _shown(value: float, unit: str) -> str:
     return f"{value:.6g}"
 
 
-def first_unclear(found: Guesses) -> str:
-    """Example of --set for the first unclear column."""
-    g = next((g for _, made in found for g in unclear(made)), None)
-    return f"{typed(g.column)}={choices(g).split(' or ')[0]}" if g else "COLUMN=TABLE.COLUMN:UNIT"
-
-
 def check_agreed(found: Guesses, source: Path, yes: bool) -> None:
     """Checks that nothing is unclear and that the user agrees, by `yes` or on the terminal.
 
