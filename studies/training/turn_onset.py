@@ -1,4 +1,4 @@
-"""How long a fish that starts on its target, headed downstream, waits before it turns: `python -m studies.training.turn_onset`.
+"""Time before a fish that starts on its target, headed downstream, turns: `python -m studies.training.turn_onset POLICY`.
 
     python -m studies.training.turn_onset station-family studies/training/seeds/short-episodes.safetensors     30 s of one core
 
