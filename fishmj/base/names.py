@@ -48,7 +48,7 @@ def split_member(water: str) -> tuple[str, str | None]:
 
 
 def strips_of(water: str) -> str:
-    """Name or file of the strips alone of a fitted water: `NAME-base`, `FOLDER/NAME-base.toml`; `NAME#2` -> `NAME-base#2`."""
+    """Name or file of the strip model fitted alone: `NAME-base`, `FOLDER/NAME-base.toml`; `NAME#2` -> `NAME-base#2`."""
     whole, number = split_member(water)
     stem = whole.removesuffix(".toml")
     return f"{stem}-base{whole[len(stem) :]}{'' if number is None else f'#{number}'}"

@@ -6,7 +6,7 @@
     lbm          the flow solver itself
     none         no water: a bench in air
     family       fits to the flow solver at several slip ratios: every randomised fish draws a water between them
-    NAME         a fitted water by name or .toml file; NAME-base: its strips alone; NAME#2: member 2 of its ensemble alone
+    NAME         a fitted water by name or .toml file; NAME-base: strip model fitted alone; NAME#2: member 2 of its ensemble
 
     choice = chosen(robot, None)      WaterChoice(kind, robot in that water, one line that says which it is)
 
@@ -43,7 +43,7 @@ SOLVED = (HYBRID, LBM)  # those that need it
 HELP = (
     "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; family: each"
     " randomised fish draws a water between several fits; structured: the description's own coefficients; none: air; a fitted"
-    " water by name (NAME-base: its strips alone) or .toml file"
+    " water by name (NAME-base: the strip model fitted alone) or .toml file"
 )
 
 
@@ -129,7 +129,7 @@ def in_water(
 
 
 def as_described(robot: Robot, water: "str | Path" = STRUCTURED) -> Robot:
-    """Robot in the water that its description states, else in its own strips; a fitted water only if it is named.
+    """Robot in the water that its description states; in a fitted water only if it is named.
 
     For work that questions a description: the search, the calibration, the second robot.
     """
