@@ -41,7 +41,7 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
     values = np.stack([np.asarray(table[name], float) for name in LEAP])
     steps = np.diff(values)
     steps[2] = np.angle(np.exp(1j * steps[2]))
-    still = [np.r_[0, np.cumsum(np.any(of != 0, axis=0))] for of in (steps[:2], steps[:2], steps)]  # equal in rows of one place
+    place, whole = (np.r_[0, np.cumsum(np.any(of != 0, axis=0))] for of in (steps[:2], steps))  # equal in rows that repeat one
     bad, seen = none.copy(), []
     for k, name in enumerate(LEAP):
         size = np.abs(steps[k])
@@ -54,7 +54,8 @@ def lost_poses(table: Table, bounds: Plausible) -> tuple[np.ndarray, list[str]]:
                 apart = values[k, j + 1] - values[k, i]
                 apart = abs(np.angle(np.exp(1j * apart))) if name == "yaw" else abs(apart)
                 rows[i + 1 : j + 1] = apart < 0.3 * min(size[i], size[j])
-            if still[k][i + 1] == still[k][j] and j - i >= 2:
+            still = whole if name == "yaw" else place
+            if still[i + 1] == still[j] and j - i >= 2:
                 rows[i + 1 : j + 1] = True
         rows |= _filled_in(steps, max(FILLED, 10 * _usual(size))) if name == "yaw" else False
         rows = ~rows if _is_seen(values, k, rows) else rows

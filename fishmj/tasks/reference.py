@@ -9,7 +9,6 @@ length does.
 """
 
 import inspect
-import math
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from math import pi
@@ -30,7 +29,7 @@ POINTS = 4096  # of the arc-length table; its error is below 1e-6 m
 LONGEST = 1e6  # s
 TRIED = 5  # episodes of the trial run
 UNASKED = ("observe", "observation", "observations", "get_observation", "get_obs", "observation_space", "observation_spec")
-SHAPES = ((3,), (2,), (), (), (), ())  # of pose, target, speed, direction, phase, seconds, without the batch axis
+SHAPES = {"pose": (3,), "target": (2,), "speed": (), "direction": (), "phase": (), "seconds": ()}  # without the batch axis
 
 
 class EpisodeStart(NamedTuple):
@@ -53,8 +52,9 @@ class StepTruth(NamedTuple):
 
 def episode_lengths(xp, launch: EpisodeStart, limit: int, dt: float):
     """Returns the lengths (B,) of episodes in control steps of dt [s], at most `limit`."""
-    seconds = math.inf + 0.0 * launch.phase if launch.seconds is None else launch.seconds
-    return xp.clip(xp.ceil(xp.minimum(seconds / dt, limit) - 1e-3), 1, limit).astype("int32")
+    if launch.seconds is None:
+        return xp.full(launch.phase.shape, limit, "int32")
+    return xp.clip(xp.ceil(launch.seconds / dt - 1e-3), 1, limit).astype("int32")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,9 +242,10 @@ class OwnReference:
                 f"{self.what}: launch gave {type(found).__name__}; "
                 "expected EpisodeStart(Start(pose, target, speed, direction), phase)"
             )
-        values = (*found.start, found.phase, *(() if found.seconds is None else (found.seconds,)))
-        for value, name, shape in zip(values, (*found.start._fields, "phase", "seconds"), SHAPES, strict=False):
-            self._checked(value, f"launch: {name}", (n, *shape))
+        given = {name: getattr(found.start, name) for name in Start._fields} | {"phase": found.phase}
+        given |= {} if found.seconds is None else {"seconds": found.seconds}
+        for name, value in given.items():
+            self._checked(value, f"launch: {name}", (n, *SHAPES[name]))
         if isinstance(found.seconds, np.ndarray) and not ((found.seconds > 0) & (found.seconds <= self.seconds)).all():
             got = f"{found.seconds.min():g} to {found.seconds.max():g} s"
             raise OwnCodeError(f"{self.what}: launch: seconds {got}; expected above 0, at most the task's {self.seconds:g} s")

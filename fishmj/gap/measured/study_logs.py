@@ -108,9 +108,8 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
         raise LogError(f"{study.where} [columns] t: got nothing, expected the column of the stamps")
     used = {stamp.column, *(c.column for c in study.columns.values() if c.column), *study.given.groups.by}
     table_forms.refuse_several(sheet, used)
-    if stamp.column in sheet.columns:
-        table_forms.refuse_digits(sheet, stamp.column)
     t = stamp.factor * _cells(sheet, stamp.column, "t", stamp.unit)
+    table_forms.refuse_digits(sheet, stamp.column)
     if stamp.nanoseconds:
         t = t + 1e-9 * _cells(sheet, stamp.nanoseconds, "t", "")
     columns = {}

@@ -217,9 +217,10 @@ def _clock_parts(columns: Mapping[str, np.ndarray]) -> dict[str, str]:
                 most = {c: float(np.max(np.nan_to_num(columns[c]), initial=0.0)) for c in unit}
                 part = next((c for c in unit if unit[c] in PARTS and most[c] * UNITS[unit[c]][1] < 1), "")
                 more = f" + {unit[part]} / {1 / UNITS[unit[part]][1]:.0f}" if part else ""
-                parts = ", ".join(quoted(c) for c in (*of["hour"][:1], minute, column, *[part] * bool(part)))
+                seconds = [column, part] if part else [column]
+                parts = ", ".join(quoted(c) for c in (*of["hour"][:1], minute, *seconds))
                 told = f"the clock is in several columns, {parts}: write one column, 3600 h + 60 min + s{more}"
-                return dict.fromkeys([column, *[part] * bool(part)], told)
+                return dict.fromkeys(seconds, told)
     return {}
 
 
