@@ -13,6 +13,7 @@ from raft import KEY, ROBOT, environment, push, raft
 from fishmj import engines, suite
 from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
+from fishmj.base.units import wrap
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import TaskOptions, TaskSpec
 from fishmj.tasks.gym.fish_env import FishVectorEnv
@@ -57,10 +58,16 @@ def test_a_share_of_the_starts_is_at_the_target_and_the_others_fill_the_range(cr
     state, arena = environment(at_target=0.25, **ROUGH).reset(KEY, 20000), constant("task", "arena")
     there = np.asarray(state.distance) == 0
     assert there.mean() == pytest.approx(0.25, abs=0.015)
-    uniform(state.fish.q[there, 2], -pi, pi)
+    mean, same = np.asarray(state.current.mean), np.asarray(state.fish.q[:, 2] == crowd.fish.q[:, 2])
+    off = wrap(np, np.asarray(state.fish.q[:, 2]) - np.arctan2(mean[:, 1], mean[:, 0]))  # from downstream
+    assert same[~there].all() and same[there].mean() == pytest.approx(0.5, abs=0.03)
+    uniform(off[~same], -pi / 4, pi / 4)
+    uniform(state.fish.q[there & same, 2], -pi, pi)
+    assert np.abs(state.fish.q[:, 2]).max() <= np.float32(pi)
     for values in (state.target[there], state.target[~there, 0], state.target[~there, 1]):
         uniform(values, -arena, arena)
-    np.testing.assert_array_equal(state.fish.q, crowd.fish.q)
+    np.testing.assert_array_equal(state.fish.q[:, :2], crowd.fish.q[:, :2])
+    np.testing.assert_array_equal(LIMIT - state.count, np.where(there, 40, LIMIT))
     with pytest.raises(ConfigError, match="at_target = 0.5 of the task figure_eight"):
         environment(at_target=0.5, course="figure_eight")
 
@@ -77,11 +84,28 @@ def test_an_exponent_draws_slow_streams_more_often(crowd):
 
 
 def test_gymnasium_s_episodes_begin_at_the_target_as_often():
-    rules = TaskSpec("station_hold", TaskOptions(at_target=0.25))
-    start = rules.scenario(rules.draws(np.random.default_rng(3), 20000)).launch.start
-    assert (start.pose[:, :2] == start.target).all(-1).mean() == pytest.approx(0.25, abs=0.015)
+    rules = TaskSpec("station_hold", TaskOptions(at_target=0.25, flow_direction=3.0))
+    draws = rules.draws(np.random.default_rng(3), 20000)
+    scenario = rules.scenario(draws)
+    start = scenario.launch.start
+    there = (start.pose[:, :2] == start.target).all(-1)
+    assert there.mean() == pytest.approx(0.25, abs=0.015)
+    np.testing.assert_array_equal(rules.lengths(scenario), np.where(there, 40, LIMIT))
+    off = wrap(np, start.pose[there, 2] - 3.0)  # half of them, and a quarter of the other headings
+    assert (np.abs(off) < pi / 4).mean() == pytest.approx(0.5 + 0.5 / 4, abs=0.03)
+    placed = rules.scenario(draws, target=np.zeros((20000, 2)))
+    assert (rules.lengths(placed) == LIMIT).all()  # these do not begin at the target
     with pytest.raises(ConfigError, match="at_target = 0.5 of the task figure_eight"):
         TaskSpec("figure_eight", TaskOptions(at_target=0.5))
+
+
+@pytest.mark.parametrize(("seconds", "steps"), [(4.0, [20]), (60.0, [40, 300])])
+def test_episodes_at_the_target_are_never_longer_than_asked_for(seconds, steps):
+    given = {"at_target": 0.5, "seconds": seconds}
+    rules, env = TaskSpec("station_hold", TaskOptions(**given)), environment(**given)
+    scenario = rules.scenario(rules.draws(np.random.default_rng(3), 100))
+    assert np.unique(rules.lengths(scenario)).tolist() == steps
+    assert np.unique(env.limit - env.reset(KEY, 100).count).tolist() == steps
 
 
 def test_randomised_fish_fill_the_papers_ranges(crowd):

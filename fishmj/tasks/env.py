@@ -22,7 +22,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
 from fishmj.tasks.episode import DrawOptions, slide
-from fishmj.tasks.reference import StepTruth, course_of, episode_lengths
+from fishmj.tasks.reference import StepTruth, begun_at_target, course_of, episode_lengths
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water import flow
 from fishmj.water.choice import in_water
@@ -276,7 +276,8 @@ class StationHold:
             slow, fast = self.options.flow_bounds
             launch = launch._replace(start=launch.start._replace(speed=slow + (fast - slow) * draws[:, 5]))
         if self.options.at_target:
-            launch = launch._replace(start=task.begun_at_target(jnp, launch.start, draws, self.options.at_target))
+            longest = self.limit * self.robot.timing.control_dt
+            launch = begun_at_target(jnp, launch, draws, self.options.at_target, longest)
         start = launch.start
         u = jax.random.uniform(keys[1], (n, task.N_FLOW + 1))
         low, high = self.options.intensity_bounds

@@ -29,7 +29,7 @@ from fishmj.engines import FishParams, FishState, Steps, Trace
 from fishmj.mjcf.description import COMMAND_PATHS, Robot
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks import station_hold as task
-from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, course_of, episode_lengths, options_of
+from fishmj.tasks.reference import COURSES, EpisodeStart, StepTruth, begun_at_target, course_of, episode_lengths, options_of
 from fishmj.tasks.sensing import Sensors, readings
 from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
@@ -155,7 +155,7 @@ class DrawOptions:
     seconds: float | None = None  # length of an episode; None: the task's own
     box: str = "train"  # which turbulence table: train, tune or judge
     effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
-    at_target: float = 0.0  # share of episodes that begin at the target, at any heading
+    at_target: float = 0.0  # share of episodes that begin at the target and last 8 s, half of them headed downstream
 
     def __new__(cls, *given, **options):
         """Refuses what the class does not take in one line, before Python does."""
@@ -306,9 +306,10 @@ class TaskSpec:
                 turned = (direction - start.direction)[:, None] * np.array([0.0, 0.0, 1.0])
                 start = start._replace(pose=start.pose + turned)
             start = start._replace(direction=direction + 0.0 * start.direction)
-        if s.at_target:
-            start = task.begun_at_target(np, start, draws.start, s.at_target)
-        start = start._replace(**fixed)
+        launch = launch._replace(start=start)
+        if s.at_target and not fixed.keys() & {"pose", "target"}:
+            launch = begun_at_target(np, launch, draws.start, s.at_target, self.limit * self.dt)
+        start = launch.start._replace(**fixed)
         low, high = s.intensity_bounds
         intensity = low + (high - low) * u[:, 4]
         current = flow.draw(np, s.turbulence, self.table, self.cell, start.speed, start.direction, intensity, u)

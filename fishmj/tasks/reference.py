@@ -21,12 +21,15 @@ from fishmj.base import plugins
 from fishmj.base.calib import constant
 from fishmj.base.errors import OwnCodeError, UnknownName
 from fishmj.base.options import checked
+from fishmj.base.units import wrap
 from fishmj.engines import Trace
 from fishmj.tasks.station_hold import N_START, Start, draw_start, outside
 
 SLOWEST = 1e-3  # m/s of the figure eight, and part of its cycle
 POINTS = 4096  # of the arc-length table; its error is below 1e-6 m
 LONGEST = 1e6  # s
+SHORT = 8.0  # s, episodes that begin at the target: a fish that waits loses more of them than of a long one
+WITHIN = pi / 4  # rad, from downstream
 TRIED = 5  # episodes of the trial run
 UNASKED = ("observe", "observation", "observations", "get_observation", "get_obs", "observation_space", "observation_spec")
 SHAPES = {"pose": (3,), "target": (2,), "speed": (), "direction": (), "phase": (), "seconds": ()}  # without the batch axis
@@ -55,6 +58,22 @@ def episode_lengths(xp, launch: EpisodeStart, limit: int, dt: float):
     if launch.seconds is None:
         return xp.full(launch.phase.shape, limit, "int32")
     return xp.clip(xp.ceil(launch.seconds / dt - 1e-3), 1, limit).astype("int32")
+
+
+def begun_at_target(xp, launch: EpisodeStart, uniforms, share: float, longest: float) -> EpisodeStart:
+    """Returns starts of which a share, those with the least of uniforms[:, 3], begins at its target and lasts SHORT.
+
+    Half of these head WITHIN of downstream, from where a fish that cannot sense the stream settles last; the others anywhere.
+    longest: length of the other episodes, s.
+    """
+    u, start = uniforms[:, 3], launch.start
+    there = u < share
+    spread = constant("task", "arena") * (2 * (u - share) / max(1 - share, 1e-9) - 1)  # of the others, over the whole arena
+    target = xp.where(there[:, None], start.pose[:, :2], xp.stack([spread, start.target[:, 1]], -1))
+    downstream = wrap(xp, start.direction + WITHIN * (2 * uniforms[:, 2] - 1))
+    yaw = xp.where(u < share / 2, downstream, start.pose[:, 2])
+    start = start._replace(pose=xp.concatenate([start.pose[:, :2], yaw[:, None]], -1), target=target)
+    return launch._replace(start=start, seconds=xp.where(there, min(SHORT, longest), longest))
 
 
 @dataclass(frozen=True, kw_only=True)

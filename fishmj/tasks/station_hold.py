@@ -54,14 +54,6 @@ def skewed(xp, uniforms, exponent: float):
     return uniforms if exponent == 1 else xp.concatenate([uniforms[:, :5], uniforms[:, 5:6] ** exponent, uniforms[:, 6:]], -1)
 
 
-def begun_at_target(xp, start: Start, uniforms, share: float) -> Start:
-    """Starts of which a share, those with the least of uniforms[:, 3], begins at its target, at any heading."""
-    u = uniforms[:, 3]
-    spread = constant("task", "arena") * (2 * (u - share) / max(1 - share, 1e-9) - 1)  # of the others, over the whole arena
-    target = xp.stack([spread, start.target[:, 1]], -1)
-    return start._replace(target=xp.where((u < share)[:, None], start.pose[:, :2], target))
-
-
 def n_fish(robot: Robot, effects=()) -> int:
     """Number of uniforms that `draw_fish` needs."""
     plain = len(robot.links) + 3 * robot.n_joints + 2

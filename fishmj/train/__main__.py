@@ -110,8 +110,8 @@ def options() -> console.Parser:
     add("--flow-speeds", type=bounds, metavar="LOW,HIGH", help=f"m/s, {speeds}")
     exponent = "of the draw, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
     add("--flow-exponent", type=console.number(0.1, 10), metavar="E", help=exponent)
-    share = "share of the episodes that begin at the target, at any heading (default: 0: anywhere, as the paper's)"
-    add("--at-target", type=console.number(0, 1), metavar="SHARE", help=share)
+    share = "share of the episodes that begin at the target and last 8 s, half of them headed downstream, within 45 deg"
+    add("--at-target", type=console.number(0, 1), metavar="SHARE", help=f"{share} (default: 0: anywhere, as the paper's)")
     seconds = "length of an episode (default: the task's, 30 for station_hold)"
     add("--episode-seconds", type=console.number(0.02, 1e6), metavar="S", help=seconds)
     step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often. --gamma and"
