@@ -28,12 +28,12 @@ def types():
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
-def joint_state(names, position, velocity=(), i=0):
+def joint_state(names, position, velocity=(), i=0, frame=""):
     """(topic, type, time [ns], CDR) of one JointState."""
     store = types()
     kinds, now = store.types, stamp(i)
     header = kinds["std_msgs/msg/Header"](
-        stamp=kinds["builtin_interfaces/msg/Time"](sec=now // 10**9, nanosec=now % 10**9), frame_id=""
+        stamp=kinds["builtin_interfaces/msg/Time"](sec=now // 10**9, nanosec=now % 10**9), frame_id=frame
     )
     message = kinds["sensor_msgs/msg/JointState"](
         header=header,

@@ -78,6 +78,18 @@ def test_a_robot_for_each_episode_is_one_robot_a_trial(tmp_path):
     assert all("holds 2 values (A, B)" in sheet.apart["robot"] for sheet in read_parquet(tmp_path / "b.parquet"))
 
 
+@pytest.mark.parametrize("kind", [int, str, bytes])
+def test_names_of_robots_in_an_npz_are_those_of_a_csv(kind, tmp_path, capsys, monkeypatch):
+    run = lab_files.importer(tmp_path, capsys, monkeypatch)
+    names = {int: np.array([1, 2]), str: np.array(["A", "B"]), bytes: np.array([b"A", b"B"])}[kind]
+    told = names[np.arange(ROWS) // (ROWS // 2)]
+    for name, column, code in (("two", told, 2), ("one", told[:1].repeat(ROWS), 0), ("other", told[:7], 0)):
+        np.savez(tmp_path / f"{name}.npz", **swim(), fish_id=column)
+        got, _, err = run(tmp_path / f"{name}.npz", "--yes", out=tmp_path / f"out_{name}")
+        assert got == code and ("holds 2 values (1, 2)" in err or "holds 2 values (A, B)" in err) == (code == 2), err
+    assert run(tmp_path / "two.npz", "--yes", "--set", "fish_id=skip", out=tmp_path / "skipped")[0] == 0
+
+
 @pytest.mark.parametrize("none", ["", "nan", "N/A", "None"])
 def test_a_blank_is_no_second_robot(none, bring):
     assert bring(swim() | {"robot": [none if k % 3 else "A" for k in range(ROWS)]})[0] == 0

@@ -329,3 +329,34 @@ def test_mapping_takes_the_yaw_of_a_quaternion(tmp_path):
     source = json_recording(tmp_path / "a.mcap", lambda i: {"p": {"x": T[i], "y": 0.1}, "q": turned(i)}, "/camera")
     (tmp_path / "a.toml").write_text('[tables.pose]\ntopic = "/camera"\ncolumns = { x = "p.x", y = "p.y", yaw = "q.yaw" }\n')
     near(importers.read(source)["a"].tables["pose"]["yaw"], YAW)
+
+
+@pytest.mark.parametrize("mixed", [True, False])
+@pytest.mark.parametrize(
+    ("topic", "field", "names"),
+    [
+        *((topic, field, "AB") for topic in ("/camera/fish", "/camera/pose") for field in ("fish_id", "name", "child_frame_id")),
+        *((topic, "fish_id", (1, 2)) for topic in ("/camera/fish", "/camera/pose")),
+        ("/camera/fish", "header", "AB"),
+    ],
+)
+def test_two_robots_in_one_topic_are_refused_by_their_names(field, names, topic, mixed, bring, tmp_path):
+    """By topics that are named like tables, too; messages of both alternate, or those of the second follow."""
+
+    def message(i, second):
+        name = second if (i % 2 if mixed else 2 * i >= ROWS) else names[0]
+        place = {"x": 1.2 + 0.12 * T[i], "y": 0.6 + 0.005 * np.sin(T[i]), "yaw": YAW[i]}
+        return {field: {"frame_id": name} if field == "header" else name, **place}
+
+    for name, second, code in (("two", names[1], 2), ("one", names[0], 0)):
+        path = json_recording(tmp_path / f"{name}.mcap", lambda i, second=second: message(i, second), topic)
+        got, _, err = bring(path, "--yes", out=tmp_path / f"out_{name}")
+        assert got == code and (f"holds 2 values ({names[0]}, {names[1]}): several trials" in err) == (code == 2), err
+
+
+def test_two_robots_of_a_bag_are_told_by_the_frames_of_their_messages(bring, tmp_path):
+    of = lambda *frames: [joint_state(PARTS, ANGLES[i], i=i, frame=frames[i % 2]) for i in range(ROWS)]
+    code, _, err = bring(bag(tmp_path / "two", of("fish_1", "fish_2")), "--yes")
+    assert code == 2 and "/joint_states: column 'frame_id' holds 2 values (fish_1, fish_2)" in err
+    assert bring(tmp_path / "two", "--yes", "--set", "frame_id=skip", out=tmp_path / "skipped")[0] == 0
+    assert bring(bag(tmp_path / "one", of("fish_1", "fish_1")), "--yes", out=tmp_path / "one_set")[0] == 0

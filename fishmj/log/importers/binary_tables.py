@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.base.store import read_npz
-from fishmj.log.importers import cells, table_forms
+from fishmj.log.importers import table_forms
 from fishmj.log.importers.column_units import UNITS
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.importers.torch_tensors import read_tensors
@@ -87,7 +87,7 @@ def read_parquet(path: Path) -> list[Sheet]:
 
 def _episodes(sheet: Sheet, texts: dict[str, np.ndarray]) -> list[Sheet]:
     """The sheet, or one for each number in its column of episodes, with what its columns of text (T,) tell apart."""
-    apart = lambda rows: {c: told for c, v in texts.items() if (told := table_forms.several(c, filter(None, v[rows])))}
+    apart = lambda rows: table_forms.told_apart({column: told[rows] for column, told in texts.items()})
     number = sheet.columns.get("episode_index")
     if number is None or not np.isfinite(number).all():
         return [replace(sheet, apart=apart(slice(None)))]
@@ -114,8 +114,7 @@ def _texts(pa, file, column) -> np.ndarray:
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return np.zeros(0, object)
     batches = file.iter_batches(columns=[column.name], batch_size=1 << 16)
-    told = ((text or "").strip() for batch in batches for text in batch.column(0).to_pylist())
-    return np.array(["" if text.lower() in cells.BLANKS else sys.intern(text) for text in told], object)
+    return np.array([sys.intern((text or "").strip()) for batch in batches for text in batch.column(0).to_pylist()], object)
 
 
 def _matrix(pa, path: Path, name: str, batches: list) -> np.ndarray:
@@ -168,16 +167,19 @@ def _numbers(pa, values) -> np.ndarray:
 def read_tables(path: Path) -> list[Sheet]:
     """Reads an `.npz`, or tensors of `torch.save`, as a sheet for each length of its arrays.
 
-    Arrays (T,) become columns, (T, K) become name_1..name_K; others are noted.
+    Arrays (T,) become columns, (T, K) become name_1..name_K; texts tell robots or trials apart; others are noted.
 
     Raises StoreError: damaged or pickled; LogError: no columns.
     """
     regular(path)
     read = read_tensors(path) if path.suffix.lower() in TORCH else read_npz(path, widened=True)
     found: dict[int, Table] = {}
+    texts: dict[str, np.ndarray] = {}
     notes = []
     for name, value in read.items():
-        if value.dtype.kind not in "fiub" or value.ndim not in (1, 2) or len(value) < 2 or value.size > COLUMNS * len(value):
+        if value.dtype.kind in "US" and value.ndim and value.size == len(value) > 1 and table_forms.may_tell_apart(name):
+            texts[name] = (value if value.dtype.kind == "U" else np.char.decode(value, errors="replace")).ravel()
+        elif value.dtype.kind not in "fiub" or value.ndim not in (1, 2) or len(value) < 2 or value.size > COLUMNS * len(value):
             notes.append(f"{path.name}: array {quoted(name)} of {value.dtype} {value.shape} is no column; left out")
         elif value.ndim == 1:
             found.setdefault(len(value), {})[name] = value.astype(float)
@@ -189,5 +191,9 @@ def read_tables(path: Path) -> list[Sheet]:
             f"{path}: {'more than' if found else 'no columns of numbers; expected 1 to'} {COLUMNS} columns of one length"
         )
     names = [path.name if len(found) == 1 else f"{path.name}, {rows} rows" for rows in found]
-    sheets = [checked(Sheet(path, name, columns)) for name, columns in zip(names, found.values(), strict=True)]
+    sheets = []
+    for name, (rows, columns) in zip(names, found.items(), strict=True):
+        told = {c: text.tolist() for c, text in texts.items() if len(text) == rows}
+        shown, apart = {c: text[0] for c, text in told.items()}, table_forms.told_apart(told)
+        sheets.append(checked(Sheet(path, name, columns | {c: np.full(rows, np.nan) for c in told}, text=shown, apart=apart)))
     return [sheets[0].noted(*notes), *sheets[1:]]

@@ -263,12 +263,7 @@ class _Reader:
                     self._refuse_two(column, int(self.lines[row]))
         marks = f"{name}: marks between thousands left out"
         notes += [marks] if self.grouped and marks not in notes else []
-        apart = {
-            column: several
-            for column, told in self.joints.items()
-            if self.counts[column]
-            and (several := table_forms.several(column, (text for text in told if text.lower() not in cells.BLANKS)))
-        }
+        apart = table_forms.told_apart({column: told for column, told in self.joints.items() if self.counts[column]})
         named = {
             column: told
             for column, told in self.joints.items()

@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fishmj.base.errors import LogError
-from fishmj.log.importers import header
+from fishmj.log.importers import header, table_forms
 from fishmj.log.importers.column_map import is_column
 from fishmj.log.importers.decoding import Found, TopicChannel, converted, decoder, read_json
 from fishmj.log.importers.joint_names import STATE, column_of
@@ -56,7 +56,9 @@ def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, no
     for name, entry in wanted.tables.items():
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {listed(found)}")
-        stamps[name], columns[name], left_out = _columns(path, entry, found[entry.topic])
+        stamps[name], columns[name], left_out, apart = _columns(path, entry, found[entry.topic])
+        if own is None and (several := next((said for c, said in apart.items() if c not in (entry.columns or ())), "")):
+            raise LogError(f"{path}:{entry.topic}: {several}")
         told += left_out
     times, moved = _seconds(stamps) if own is None else ({name: np.array(ns, float) / 1e9 for name, ns in stamps.items()}, [])
     tables = {}
@@ -85,19 +87,21 @@ def _place(path: Path, topic: str, order: np.ndarray):
     return lambda row, column: f"{path}:{topic}[{order[row] if 0 <= row < len(order) else 0}]:{column or 't'}"
 
 
-def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table, list[str]]:
-    """Stamps [ns], columns and notes of one topic. A message that names only other joints is left out."""
+def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table, list[str], dict[str, str]]:
+    """Stamps [ns], columns, notes and what tells robots apart. A message that names only other joints is left out."""
     if not channel.messages:
         raise LogError(f"{path}: topic {entry.topic!r} has no message; leave its table out")
     decode = decoder(path, entry.topic, channel)
     first = decode(0)
-    fields = entry.columns or {key: MessageField((key,)) for key in first if key != "t"}
+    texts = {key for key in table_forms.labels(first) if isinstance(first.get(key), str)}
+    fields = entry.columns or {key: MessageField((key,)) for key in first if key != "t" and key not in texts}
     clock = entry.clock
     if entry.columns is None and clock == "log_time" and "t" in first:
         clock = MessageField(("t",), "s")
-    stamps, rows, joints, others = [], [], {}, 0
+    stamps, rows, joints, others, labels = [], [], {}, 0, []
     for i, (log_time, publish_time, _) in enumerate(channel.messages):
         where, content = f"{path}:{entry.topic}[{i}]", decode(i)
+        labels.append(table_forms.labels(content))
         found = [_dig(where, content, f) for f in fields.values()]
         if any(value is ABSENT for value, _ in found):
             others += 1
@@ -121,7 +125,8 @@ def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int]
         if others
         else []
     )
-    return stamps, dict(zip(fields, np.array(rows, float).reshape(len(rows), len(fields)).T.copy(), strict=True)), notes
+    values = np.array(rows, float).reshape(len(rows), len(fields)).T.copy()
+    return stamps, dict(zip(fields, values, strict=True)), notes, table_forms.told_apart(labels)
 
 
 def _dig(where: str, content, wanted: MessageField) -> tuple[Any, str]:
@@ -252,6 +257,7 @@ class _Rows:
     stamps: list[int]
     values: list[dict[str, float]]
     notes: Counter[str]
+    apart: dict[str, str] = field(default_factory=dict)
 
     @property
     def ahead(self) -> float:
@@ -279,7 +285,9 @@ class _Rows:
             units["stamp"] = DATE
         units = {key: unit for key, unit in units.items() if key in columns}
         told = tuple(f"{topic}: {note}, in {n} of {len(self.values)} messages" for note, n in self.notes.items() if n)
-        return checked(Sheet(path, topic, columns, units, notes=told, doubts=_unnamed(columns) | self._planned(columns)))
+        columns |= {key: np.full(len(stamps), math.nan) for key in self.apart if key not in columns}
+        doubts = _unnamed(columns) | self._planned(columns)
+        return checked(Sheet(path, topic, columns, units, notes=told, doubts=doubts, apart=self.apart))
 
     def _planned(self, columns: Iterable[str]) -> dict[str, str]:
         """Doubts about trajectories of several points."""
@@ -300,10 +308,11 @@ def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
     """Messages of a topic as rows; None if they hold no number."""
     decode = decoder(path, topic, channel)
     out, keys = _Rows([], [], [], Counter()), set()
-    own = []
+    own, labels = [], []
     for i, (log_time, _, _) in enumerate(channel.messages):
         where, content = f"{path}:{topic}[{i}]", decode(i)
         own.append(_own_stamp(content))
+        labels.append(table_forms.labels(content))
         if channel.type == TRAJECTORY:
             row = _trajectory(where, content, out.notes)
         else:
@@ -316,6 +325,7 @@ def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
     if any(own) and not all(own):
         out.notes["no stamp in its header, so that all are stamped by their receipt"] = sum(not stamp for stamp in own)
     out.stamps = [stamp for stamp in own if stamp] if all(own) else out.receipts
+    out.apart = table_forms.told_apart(labels)
     return out if keys else None
 
 

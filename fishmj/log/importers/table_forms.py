@@ -7,20 +7,24 @@ its sheet (`Sheet.doubts`), of the column of time, or of the whole file.
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log.importers import header
+from fishmj.log.importers.cells import BLANKS
 from fishmj.log.importers.column_units import PARTS, UNITS
 from fishmj.log.importers.sheet import DATE, Sheet
 from fishmj.log.limits import bare, quoted, typed
 
 SEVERAL = {"trial", "run", "take", "episode", "experiment", "repeat", "repetition"}  # words of a column that counts trials
-ROBOTS = {"robot", "robots", "fish", "swimmer", "animal", "individual", "subject", "id"}  # of one that tells robots apart
+ROBOTS = {"robot", "robots", "fish", "swimmer", "animal", "individual", "subject", "id", "name"}  # of one that tells robots apart
 STATES = {"state", "status", "phase", "mode", "valid", "flag", "off"}  # of one that tells a trial's parts
-SHORT = ("id", "no", "nr", "number", "index")  # which may number servos, too
-LABEL = {"name", "no", "nr", "number", "index", "label"}  # words beside them
+SHORT = ("id", "name", "no", "nr", "number", "index")  # which may number servos, too
+LABEL = {"no", "nr", "number", "index", "label"}  # words beside them
+FRAME = {"child", "frame"}  # words beside the id of a message's frame, which is a text; a camera counts its frames in numbers
 ROWS, MOST = 10, 32  # of a trial at least, on average; values of a column that tells robots apart, at most
 INTEGERS = (32767.0, -32768.0, 65535.0, 2.0**31 - 1, -(2.0**31), 2.0**32 - 1)  # ends of numbers of 16 and 32 bits
 NINES, HUGE = 999.0, 1e9  # least mark of nines; least value that is a mark where it repeats
@@ -42,10 +46,11 @@ _MARK = re.compile(r"[,;\t]")
 
 
 # ------------------------------------------------------------------------------------------------------ robots and trials
+@lru_cache(1024)
 def may_tell_apart(column: str) -> bool:
     """Returns True for a name that says nothing but a robot, a fish or a trial, such as `fish_id`; not for `run_time`."""
     said = {word for word in header.words(column) if not word.isdecimal()}
-    return bool(said & (SEVERAL | ROBOTS)) and said <= SEVERAL | ROBOTS | LABEL
+    return bool(said & (SEVERAL | ROBOTS)) and said <= SEVERAL | ROBOTS | LABEL | FRAME
 
 
 def several(column: str, values: Iterable) -> str:
@@ -57,6 +62,7 @@ def several(column: str, values: Iterable) -> str:
     values = list(values)
     found = list(dict.fromkeys(values))
     apart = alone and len(found) <= MOST and len(found) * ROWS <= len(values)
+    apart = apart and (not said & FRAME or all(isinstance(value, str) for value in found))
     steps = sum(a != b for a, b in zip(values, values[1:], strict=False))
     whole = lambda value: isinstance(value, str) or value % 1 == 0
     if len(found) < 2 or not (apart or counted and steps * ROWS < len(values) and all(map(whole, found))):
@@ -66,6 +72,26 @@ def several(column: str, values: Iterable) -> str:
     servos = not counted and header.words(column)[0] in SHORT
     what, each = ("trials, robots or servos", ", a column for each servo") if servos else ("trials or robots", "")
     return f"{told}: several {what} in one file; write a file for each{each}"
+
+
+def told_apart(texts: Mapping[str, Iterable] | Sequence[Mapping[str, str | int]]) -> dict[str, str]:
+    """Columns of texts or numbers (T,), or labels of messages, that tell robots or trials apart -> sentence; blanks do not."""
+    if not isinstance(texts, Mapping):
+        texts = {key: [one[key] for one in texts if key in one] for key in dict.fromkeys(chain(*texts))}
+    told = {c: several(c, (v for v in values if str(v).strip().lower() not in BLANKS)) for c, values in texts.items()}
+    return {column: sentence for column, sentence in told.items() if sentence}
+
+
+def labels(message: Mapping, prefix: str = "") -> dict[str, str | int]:
+    """Fields of a message that may name its robot, fish or frame, down to six levels -> their texts or numbers."""
+    out: dict[str, str | int] = {}
+    for key, value in message.items() if prefix.count(".") < 5 else ():
+        path = f"{prefix}.{str(key)[:80]}".lstrip(".")
+        if isinstance(value, Mapping):
+            out |= labels(value, path)
+        elif type(value) in (str, int) and (name := next(filter(may_tell_apart, (path, str(key)[:80])), "")):
+            out[name] = value
+    return out
 
 
 def refuse_several(sheet: Sheet, used: Collection[str | None], skips: bool = False) -> None:
