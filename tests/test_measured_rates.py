@@ -161,11 +161,77 @@ def test_the_velocity_of_a_steady_swim_is_judged_by_its_mean_where_the_water_is_
         assert steady(1.0, water, 0.15 * np.exp(1j), **STREAM) == []
 
 
-def test_the_velocity_of_a_steady_swim_in_unstated_water_is_judged_where_no_current_explains_it():
-    """Half the way may be the current's; a hundredth of it is no velocity of a fish that beats, but of one that drifts."""
+STREAMS = (0.3 * np.exp(0.5j), -0.19 * np.exp(0.5j), 0.15j)
+
+
+def test_the_velocity_of_a_steady_swim_in_unstated_water_asks_for_the_water():
+    """Half the way may be the stream's; a hundredth of it is no velocity of a fish that beats, but of one that drifts."""
     assert "in m/s, read as cm/s" in steady(0.01)[0]
-    assert steady(0.5) == steady(0.01, beats=0.0) == steady(0.01, speed=0.0, direction=0.0, known=False) == []
-    assert steady(1.0, True, 0.3 * np.exp(0.5j)) == steady(1.0, True, -0.19 * np.exp(0.5j)) == []
+    for times, off in ((0.5, "0.1"), (2.0, "0.2"), (-1.0, "0.4")):
+        *against, text = steady(times)
+        assert f"by a steady {off} m/s" in text and "a stream that is not stated, or of another scale or sign" in text
+        assert len(against) == (times < 0) and all("sway runs against" in told for told in against)
+        assert steady(times, speed=0.0, direction=0.0, known=False) == against  # of a stream that is said to be unknown
+    assert "a stream that is not stated" in steady(0.01, beats=0.0)[0]
+    for stream in STREAMS:
+        assert "a stream that is not stated" in steady(1.0, True, stream)[0]
+        size, bearing = abs(stream), float(np.angle(stream))
+        assert steady(1.0, True, stream, speed=size, direction=bearing, known=True) == steady(1.0, False, stream) == []
+    assert steady(0.7) == steady(1.4) == []
+    assert "by a steady 0.4 m/s" in steady(-1.0, **STILL)[-1]
+
+
+def moving(pace, course, times: complex = 1.0, aside: float = 1.0, sway: bool = True) -> list[str]:
+    """Notes on a fish that beats at a pace (T,) m/s on a course (T,) rad, in a stream of which nothing is stated.
+
+    Its velocity is through the water, `times` the true one, and its sway is multiplied by `aside`, too.
+    """
+    t, rng = T, np.random.default_rng(4)
+    beat = np.minimum(pace / 0.2, 1)
+    yaw, phase = course + 0.1 * beat * np.sin(6 * t), 0.005 * beat * np.sin(6 * t + 1)
+    way = np.cumsum(pace * np.exp(1j * course)) * 0.02 + phase * 1j * np.exp(1j * course)
+    body = times * np.gradient(way, 0.02) * np.exp(-1j * yaw)
+    noise, place = lambda size: rng.normal(0, size, len(t)), way + 0.05 * np.exp(1j) * t
+    tables = {
+        "joint": {"t": t, "j1": 0.4 * beat * np.sin(6 * t), "j2": 0.4 * beat * np.sin(6 * t - 1)},
+        "pose": {"t": t, "x": place.real + noise(0.001), "y": place.imag + noise(0.001), "yaw": yaw + noise(0.01)},
+        "velocity": {"t": t + 0.05, "surge": body.real + noise(0.01), "sway": aside * body.imag + noise(0.01)},
+    }
+    if not sway:
+        del tables["velocity"]["sway"]
+    return [f.text for f in physical_checks.examine(Trial({}, tables), ["velocity"])]
+
+
+T = np.arange(0, 20, 0.02)
+STEADY, AHEAD = 0 * T + 0.2, 0 * T + 0.5
+SWIMS = {
+    "start": (0.2 * np.clip((T - 5) / 2, 0, 1), AHEAD),
+    "stop": (0.2 * np.clip((15 - T) / 2, 0, 1), AHEAD),
+    "turn": (STEADY, 1.5 * np.clip((T - 8) / 4, 0, 1)),
+    "circle": (STEADY, 0.3 * T),
+}
+
+
+@pytest.mark.parametrize("sway", [True, False])
+@pytest.mark.parametrize("name", SWIMS)
+def test_a_change_of_pace_or_heading_tells_the_scale_of_a_velocity_from_a_stream(name, sway):
+    """Of a surge alone, too: a stream along the body is no free number, it changes with the heading."""
+    pace, course = SWIMS[name]
+    for times, words in (
+        (0.5, "times the motion of x and y"),
+        (2.0, "times the motion"),
+        (-1.0, "in other axes: in the map read"),
+    ):
+        (text,) = moving(pace, course, times, sway=sway)
+        assert words in text
+    assert moving(pace, course, sway=sway) == []
+
+
+@pytest.mark.parametrize("name", ["steady", *SWIMS])
+def test_a_sway_of_the_wrong_sign_is_told_by_the_beat(name):
+    pace, course = SWIMS.get(name, (STEADY, AHEAD))
+    (text,) = moving(pace, course, aside=-1.0)
+    assert "sway runs against the pose in each beat" in text and "columns.sway sign = -1" in text
 
 
 @pytest.mark.parametrize("water", [False, True])

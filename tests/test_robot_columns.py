@@ -5,6 +5,7 @@ import pytest
 
 from fishmj.base.errors import LogError
 from fishmj.gap.records.robot_logs import guess_columns, read_robot_logs, read_sheet
+from fishmj.log.importers import table_forms
 
 N = 0.004 * np.arange(500)  # s
 
@@ -169,3 +170,14 @@ def test_stamps_in_the_digits_of_a_clock_are_refused(tmp_path):
     columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
     with pytest.raises(LogError, match="log.csv:252:t: its digits are those of a clock, 100 after 59.98; expected seconds"):
         read_robot_logs([tmp_path / "log.csv"], columns)
+
+
+def test_digits_of_a_clock_are_looked_for_once_a_log(tmp_path, monkeypatch):
+    """Commands and positions have one column of stamps."""
+    looked = []
+    monkeypatch.setattr(table_forms, "clock_digits", lambda stamps, columns=(): looked.append(len(stamps)))
+    rows = [f"{v:.3f},{np.sin(v):.5f},{np.cos(v):.5f},1,2" for v in N]
+    (tmp_path / "log.csv").write_text("\n".join(["t,q1,q2,tau1,tau2", *rows]) + "\n")
+    columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
+    (log,), _ = read_robot_logs([tmp_path / "log.csv"], columns)
+    assert set(log.tables) == {"cmd", "joint"} and looked == [len(N)]

@@ -29,6 +29,8 @@ from fishmj.log.trial_check import Plausible
 from fishmj.log.unread_rows import is_sound
 
 MOVES, TURNS = 0.02, 0.1  # m/s, rad/s: least standard deviation of a motion that is compared
+LEAST = 0.01  # m/s, deviation of a sway in its beat, and difference of two means, that are told
+STRAIGHT = 0.03  # rad, scatter of a heading below which a current along the body is steady
 SURE, CLEARER = 0.97, 9.0  # correlation of one motion; times that a reading of the axes leaves less unexplained than the map's
 ALIKE = 0.9  # correlation, at its best delay, of two rates of turn of one motion
 SLOW = 0.06  # s, median step from which a channel is too coarse for the turns of a beat
@@ -42,8 +44,8 @@ WAIVED = 10.0  # times; where a trial allows more, neither sign nor axes are jud
 def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     """Findings on the measured velocity against the way of the pose: scale, sign, axes, frame.
 
-    What a steady current adds is left out of both, so that a velocity through the water fits, too; means only where no
-    current is so fast, where the water is known, or of a fish that beats and would be carried by a current ten times as fast.
+    What a steady current adds is left out of both, so that a velocity through the water fits, too. Where no change of pace or
+    heading tells the rest, the means must agree, or differ by the stated stream; one that is said to be unknown may be any.
     """
     pose, measured = trial.tables.get("pose", {}), trial.tables.get("velocity", {})
     names: list[str] = [name for name in ("surge", "sway") if name in measured]
@@ -64,20 +66,41 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         seen, current = mean(moves), np.ones((len(mean(x)), 1))
     else:  # along the body, where a current changes with the heading
         readings, seen = {"": told, "-surge": -told}, mean((moves * ahead.conj()).real)
-        current = np.stack([np.ones(len(seen)), mean(ahead.real), mean(ahead.imag)], 1)
+        current = np.stack([mean(ahead.real), mean(ahead.imag)], 1)
     moved = {reading: mean(v) for reading, v in readings.items()}
-    rest = lambda v: v - current @ np.linalg.lstsq(current, v, rcond=1e-6)[0]
+    rest = lambda v: v - current @ np.linalg.lstsq(current, v, rcond=STRAIGHT)[0]
     found = _misread({reading: rest(v) for reading, v in moved.items()}, rest(seen), bounds)
     fast, pace = (float(np.median(np.abs(v))) for v in (moved[""], seen))
     speed, bearing = stated_stream(trial)
     water = np.full(len(grid), speed * np.exp(1j * bearing))
-    own = float(np.median(np.abs(seen - mean(water if "sway" in names else (water * ahead.conj()).real))))
+    carried = mean(water if "sway" in names else (water * ahead.conj()).real)
+    own = float(np.median(np.abs(seen - carried)))
+    sound = found is not None and not found[0] and abs(log(found[1])) <= log(bounds.agree)
+    found = None if sound else found
     known, least, most = trial.value("flow.known"), min(pace, own), max(pace, own, MOVES)
     above = fast > bounds.agree * most and (known or fast - pace > bounds.leap)
     swims = known or (known is None and fast * FAINT < least and beating_swim(trial) is not None)
     if found is None and (above or 0 < fast * bounds.agree < least > 2 * MOVES and swims):
         found = "", fast / max(pace, MOVES), 1.0
     if found is None:
+        coarse = max(float(np.median(np.diff(v))) for v in (pose["t"], measured["t"])) > SLOW
+        aside = [_smooth(v) - mean_over(v, rows) for v in ((moves * ahead.conj()).imag, sway)]
+        lags = _lags(*aside)
+        if not coarse and np.std(aside[0]) > LEAST and min(lags) < -ALIKE and max(lags) < OTHER and bounds.agree < WAIVED:
+            yield (
+                NOTE,
+                f"velocity: sway runs against the pose in each beat (correlation {min(lags):.2f}): expected to the left. In the"
+                " map give columns.sway sign = -1; or its stamps are half a beat off, or it is of another point of the body",
+            )
+        off = min(float(abs(np.mean(seen - moved[""] - stream))) for stream in (0.0, carried))
+        judged = not sound and known is not False and bounds.agree < WAIVED
+        if judged and off > max(LEAST, (1 - 1 / bounds.agree) * max(fast, pace)):
+            yield (
+                NOTE,
+                f"velocity: it is off the way of the pose by a steady {off:.2g} m/s ({fast:.2g} m/s for {pace:.2g} m/s), and no"
+                " change of pace or heading tells why: is it through the water of a stream that is not stated, or of another"
+                f" scale or sign? State the water, flow in [meta] or --flow, or mend {_names(names)} in the map",
+            )
         return
     reading, times, fit = found
     if reading:
@@ -111,7 +134,7 @@ def turning(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         told = _smooth(np.interp(grid, measured["t"], measured[name]))
         if np.std(seen) < TURNS or np.std(told) == 0:
             continue
-        lags = [correlation(*delayed(*pair, lag)) for lag in SEEN for pair in ((seen, told), (told, seen))]
+        lags = _lags(seen, told)
         times = float(np.std(told) / np.std(seen))
         if min(lags) < -ALIKE and max(lags) < OTHER and bounds.agree < WAIVED:
             yield (
@@ -129,7 +152,7 @@ def turning(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
 
 # ---------------------------------------------------------------------------------------------------------------------- helpers
 def _misread(moved: dict[str, np.ndarray], seen: np.ndarray, bounds: Plausible) -> tuple[str, float, float] | None:
-    """The reading of the columns that fits, "" the map's own, its scale and the own reading's correlation; None if it is sound.
+    """The reading of the columns that fits, "" the map's own, its scale and the own reading's correlation; None if none fits.
 
     Args:
         moved: velocities (K,) m/s in the frame of the tank, complex, of each reading. seen: that of the pose.
@@ -142,7 +165,12 @@ def _misread(moved: dict[str, np.ndarray], seen: np.ndarray, bounds: Plausible) 
     best, times = max(fits, key=lambda reading: fits[reading]), sizes[""] / size
     if bounds.agree < WAIVED and fits[best] > SURE and (1 - fits[best]) * CLEARER < 1 - fits[""]:
         return best, times, fits[""]
-    return ("", times, fits[""]) if fits[""] > SURE and abs(log(times)) > log(bounds.agree) else None
+    return ("", times, fits[""]) if fits[""] > SURE else None
+
+
+def _lags(seen: np.ndarray, told: np.ndarray) -> list[float]:
+    """Correlations of two channels, each of them delayed by each of `SEEN`."""
+    return [correlation(*delayed(*pair, lag)) for lag in SEEN for pair in ((seen, told), (told, seen))]
 
 
 def _scaled(column: str, times: float, kind: str, columns: list[str]) -> str:

@@ -329,11 +329,13 @@ class LogTable(NamedTuple):
         """Column -> its sheet and its name there. With several sheets a column has its sheet's name in front, stamps aside."""
         if len(self.sheets) == 1:
             return {name: (self.sheets[0], name) for name in self.sheets[0].columns}
-        return {
-            name if _words(name) & TIME else f"{sheet.name}:{name}": (sheet, name)
-            for sheet in self.sheets
-            for name in sheet.columns
-        }
+        return {n if _words(n) & TIME else f"{s.name}:{n}": (s, n) for s in self.sheets for n in s.columns}
+
+    def clock(self, stamp: Stamp, sheet: Sheet) -> Stamp:
+        """Stamps of one sheet: those named, or those of its topic. Raises LogError: it has none."""
+        if stamp.column not in sheet.columns and len(self.sheets) == 1:
+            raise LogError(f"{sheet.where}: no column {stamp.column!r} of stamps; it has {_listed(list(sheet.columns))}")
+        return stamp if stamp.column in sheet.columns else _stamp(list(sheet.columns), sheet.units)
 
     def read(self, stamp: Stamp, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray]:
         """Stamps (T,) s and values (T, C) SI of columns of one sheet. Raises LogError: one is missing, or in another sheet."""
@@ -346,15 +348,12 @@ class LogTable(NamedTuple):
         if any(other is not sheet for other, _ in found):
             topics = ", ".join(dict.fromkeys(other.name for other, _ in found))
             raise LogError(f"{self.where}: {topics}: columns of one table are in several topics; expected them in one")
-        if stamp.column not in sheet.columns and len(self.sheets) == 1:
-            raise LogError(f"{sheet.where}: no column {stamp.column!r} of stamps; it has {_listed(list(sheet.columns))}")
-        clock = stamp if stamp.column in sheet.columns else _stamp(list(sheet.columns), sheet.units)  # of its topic
+        clock = self.clock(stamp, sheet)
         for c, (_, name) in zip(columns, found, strict=True):
             said = sheet.units.get(name, "")
             if c.scale == 1.0 and measures(said) in ("angle", "length") and UNITS[said][1] != abs(c.factor):
                 told = f"the file says {said}, expected {c.unit or SI[measures(said)]}"
                 raise LogError(f"{sheet.where}: column {name!r}: {told}; state its unit in a map, --columns MAP.toml")
-        table_forms.refuse_digits(sheet, clock.column)
         values = [c.factor * (sheet.columns[name] - c.zero) for c, (_, name) in zip(columns, found, strict=True)]
         return np.asarray(sheet.columns[clock.column], float) * clock.factor, np.stack(values, 1)
 
@@ -379,9 +378,11 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     Raises LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
     """
     tables, notes = {}, [note for sheet in table.sheets for note in sheet.notes]
-    used = {columns.time.column, *(c.column for part in (columns.joint, columns.actuator, columns.base) for c in part.values())}
+    read = {str(c.column) for part in (columns.joint, columns.actuator, columns.base) for c in part.values()}
     for sheet in table.sheets:
-        table_forms.refuse_several(sheet, used)
+        table_forms.refuse_several(sheet, {columns.time.column, *read})
+        if read & {name for name, (of, _) in table.columns.items() if of is sheet}:
+            table_forms.refuse_digits(sheet, table.clock(columns.time, sheet).column)
     for key, template, part in (("cmd", "c#", columns.actuator), ("joint", "j#", columns.joint)):
         if not part:
             continue
