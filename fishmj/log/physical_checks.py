@@ -123,18 +123,18 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     small = PhysicalCheck("sway", aside, "sway", partial(sway, length=length))
     checks = (*CHECKS, scale, small) if length else CHECKS
     wanted = set(only) or {check.name for check in checks}
-    seen = _without_lost(trial, bounds)
+    found = lost_poses(trial.tables.get("pose", {}), bounds)
+    seen = _without_lost(trial, found[0])
     return [
         PhysicalFinding(check.name, level, f"{text}; if it is right, allow it with {check.bound} in [plausible] of meta.toml")
         for check in checks
         if check.name in wanted
-        for level, text in check.find(trial if check.find is _lost_poses else seen, bounds)
+        for level, text in (_lost_poses(trial, bounds, found) if check.find is _lost_poses else check.find(seen, bounds))
     ]
 
 
-def _without_lost(trial: Trial, bounds: Plausible) -> Trial:
-    """The trial without the rows of its lost poses, where these are many."""
-    lost, _ = lost_poses(trial.tables.get("pose", {}), bounds)
+def _without_lost(trial: Trial, lost: np.ndarray) -> Trial:
+    """The trial without the rows of its lost poses (T,), where these are many."""
     if not lost.size or lost.mean() <= MANY:
         return trial
     pose = {column: np.asarray(values)[~lost] for column, values in trial.tables["pose"].items()}
@@ -168,9 +168,9 @@ def _to_leave_out(notes: list[str]) -> Iterator[tuple[str, str]]:
     return ((USE, note.replace(" left out, ", " to leave out, ")) for note in notes)
 
 
-def _lost_poses(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
+def _lost_poses(trial: Trial, bounds: Plausible, found: tuple[np.ndarray, list[str]] | None = None) -> Iterator[tuple[str, str]]:
     pose = trial.tables.get("pose", {})
-    lost, notes = lost_poses(pose, bounds)
+    lost, notes = found or lost_poses(pose, bounds)
     yield from _to_leave_out(notes)
     if not is_sound(pose, ["t", "x", "y", "yaw"]):
         return
