@@ -11,10 +11,8 @@
 Keys that an older file lacks are not compared, with a note; its servo range and joint count are read from `action` and `joints`.
 """
 
-import json
 import math
 import re
-from hashlib import sha256
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +20,7 @@ import numpy as np
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.base.names import is_name
+from fishmj.base.store import json_sha256
 from fishmj.water.water_identity import members_of
 
 CLOSE = 0.10  # of a link's length, what calibrations change
@@ -123,7 +122,7 @@ class PolicyBody(NamedTuple):
 
 def structure_sha256(structure: dict) -> str:
     """Hex digest of a structure in the form of a header."""
-    return sha256(json.dumps(structure, sort_keys=True).encode()).hexdigest()
+    return json_sha256(structure)
 
 
 def one_line(command: str) -> str:

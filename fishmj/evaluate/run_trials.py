@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
 from functools import partial
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -240,7 +239,7 @@ class FinishedTrials:
             "engine": self.engine,
             "code": package_sha256(),
         }
-        mark = sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:16]
+        mark = store.json_sha256(what)[:16]
         return self.folder / "judged" / f"{brain.name}_{mark}.npz"
 
 
@@ -478,4 +477,4 @@ def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> st
         **({"hull": robot.hull} if robot.hull != "turbulent" else {}),
         **({"drawn": trials.drawn_as} if trials.drawn_as else {}),
     }
-    return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    return store.json_sha256(what)[:8]

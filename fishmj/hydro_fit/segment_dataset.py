@@ -9,8 +9,6 @@ was run) and `manifest.json` (sha256 of every file). Segments of one episode sha
 set with only the segments of `INSTALLED`, as in an installed fishmj, can be used for judging only.
 """
 
-import hashlib
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
@@ -18,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fishmj.base.errors import ConfigError, DatasetError, StoreError
-from fishmj.base.store import Manifest, left_out, read_json
+from fishmj.base.store import Manifest, json_sha256, left_out, read_json, sha256
 from fishmj.base.store.manifest import MANIFEST, SOURCES
 from fishmj.hydro_fit.record import SCHEMA, UNITS, SegmentRecord, described, read_record
 from fishmj.mjcf.description import Robot
@@ -47,7 +45,7 @@ class SegmentDataset:
     @property
     def sha256(self) -> str:
         """sha256 of the manifest, which identifies the data set."""
-        return hashlib.sha256((self.folder / MANIFEST).read_bytes()).hexdigest()
+        return sha256(self.folder / MANIFEST)
 
     @property
     def robot(self) -> dict:
@@ -112,7 +110,7 @@ def fingerprint(robot: Robot) -> str:
     links = [{key: value for key, value in link.items() if key != "colour"} for link in table["links"]]
     body = {key: table[key] for key in ("servo", "fins", "timing", "density_water")} | {"links": links}
     body |= {"hull": robot.hull} if robot.hull != "turbulent" else {}
-    return hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
+    return json_sha256(body)
 
 
 def same_fish(about: Mapping[str, Any], robot: Robot, where: Path) -> None:
@@ -150,7 +148,7 @@ def open_dataset(folder: str | Path, *, test: bool = False) -> SegmentDataset:
 def split_hashes(episodes: dict[str, str]) -> dict[str, str]:
     """sha256 of the sorted episode names of each split."""
     parts = {split: sorted(name for name, where in episodes.items() if where == split) for split in SPLITS}
-    return {split: hashlib.sha256(json.dumps(names).encode()).hexdigest() for split, names in parts.items()}
+    return {split: json_sha256(names) for split, names in parts.items()}
 
 
 def open_each(folders: Iterable[str | Path]) -> list[SegmentDataset]:

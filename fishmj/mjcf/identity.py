@@ -5,12 +5,11 @@ the structure that it needs. Masses, gains, water and effects are no part of the
 All of these but the water have a hash of their own.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
 
-from fishmj.base.store import plain
+from fishmj.base.store import json_sha256, plain
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 
@@ -26,7 +25,7 @@ def robot_sha256(robot: Robot) -> str:
         del table["hull"]
     water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
     table["water"] = {"model": "structured", **water}
-    return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
+    return json_sha256(plain(table))
 
 
 def body_sha256(robot: Robot) -> str:
@@ -78,7 +77,7 @@ def constants_sha256(robot: Robot) -> str:
         "density_water": robot.density_water,
         "effects": [[effect.name, effect.parameters] for effect in robot.effects if effect.parameters],
     }
-    return sha256(json.dumps(plain(table), sort_keys=True, default=str).encode()).hexdigest()
+    return json_sha256(plain(table))
 
 
 def observation_of(joints: int) -> list[dict]:

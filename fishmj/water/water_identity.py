@@ -1,11 +1,10 @@
 """Identity of a robot's water, for the header of a policy and the comparison in an evaluation."""
 
-import json
 from collections.abc import Mapping
 from hashlib import sha256
 
 from fishmj.base import calib
-from fishmj.base.store import plain
+from fishmj.base.store import json_sha256, plain
 from fishmj.mjcf.description import Robot
 from fishmj.water.choice import STRUCTURED, family_of, label, model_of
 
@@ -34,8 +33,7 @@ def water_identity(robot: Robot) -> dict[str, str]:
     if name != STRUCTURED:
         return {"name": name, "kind": name}
     table = {key: value for key, value in robot.water.items() if key not in ("model", "own") and value is not None}
-    text = json.dumps(plain(table), sort_keys=True, default=str)
-    return {"name": name, "kind": STRUCTURED, "sha256": sha256(text.encode()).hexdigest()}
+    return {"name": name, "kind": STRUCTURED, "sha256": json_sha256(plain(table))}
 
 
 def members_of(water: Mapping[str, str]) -> list[dict[str, str]]:

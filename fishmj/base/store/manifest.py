@@ -4,8 +4,10 @@ Shipped files lie in `data/` of a checkout, or in `_data` of an installed packag
 """
 
 import hashlib
+import json
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from fishmj.base.calib import FOLDERS, ROOTS
 from fishmj.base.errors import StoreError
@@ -25,6 +27,11 @@ def sha256(path: str | Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise StoreError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def json_sha256(value: Any) -> str:
+    """Hex digest of a value as JSON with its keys sorted; what JSON does not know counts as its text."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ def options_of(setup: ExperimentSetup) -> dict[str, Any]:
 def identity_of(setup: ExperimentSetup) -> str:
     """Sixteen characters that change with everything that would change a row: the options, the solver's water, the code."""
     what = [options_of(setup), water_identity(setup.robot), repr(setup.solver), package_sha256()]
-    return sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    return store.json_sha256(what)[:16]
 
 
 class ExperimentRows:

@@ -5,8 +5,6 @@ parts       finished swims of the solver, robots drawn anew: one JSON file each,
             a part of other settings or another version of this package is repeated
 """
 
-import hashlib
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +15,7 @@ from fishmj.base import interrupt
 from fishmj.base.calib import calib_folder
 from fishmj.base.errors import LogError, StoreError
 from fishmj.base.source import package_sha256
-from fishmj.base.store import plain, read_json, write_json
+from fishmj.base.store import json_sha256, plain, read_json, write_json
 from fishmj.gap.records.datasets import readable_trials
 from fishmj.gap.records.records import Record, Sensor, record_of
 from fishmj.log import Trial
@@ -138,7 +136,7 @@ class PartialResults:
 
     def __init__(self, folder: Path, about: dict):
         self.folder = folder
-        self.key = hashlib.sha256(json.dumps(plain([about, package_sha256()]), sort_keys=True).encode()).hexdigest()
+        self.key = json_sha256(plain([about, package_sha256()]))
 
     def find(self, name: str) -> Any:
         """Result of a finished part, from its JSON; None if it is not finished."""

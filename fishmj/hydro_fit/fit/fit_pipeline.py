@@ -7,7 +7,6 @@ A stage that makes the validation swims worse is not used; the notes record that
 """
 
 import hashlib
-import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -19,7 +18,7 @@ import numpy as np
 
 from fishmj.base import interrupt
 from fishmj.base.errors import DatasetError, StoreError
-from fishmj.base.store import plain, read_tensors, write_tensors
+from fishmj.base.store import json_sha256, plain, read_tensors, write_tensors
 from fishmj.hydro_fit.fit import force_training, gauss_newton, linear_regression, prediction_interval, rollout, training_windows
 from fishmj.hydro_fit.fit import rollout_training as swims
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, rows_of
@@ -116,7 +115,7 @@ class FitPipeline:
             self.about["given"] = residual_hooks.sha256(given)
         # all inputs of the result: a kept stage is reused only if they are all the same
         depends = self.about | {"settings": asdict(self.settings)}
-        self.key = hashlib.sha256(json.dumps(plain(depends), sort_keys=True).encode()).hexdigest()
+        self.key = json_sha256(plain(depends))
         self.notes: list[str] = []
         self.found: dict[str, dict] = {}
         self.seconds: dict[str, float] = {}

@@ -7,7 +7,6 @@ the new swims and keeps its old extent.
 """
 
 import hashlib
-import json
 from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fishmj.base.store import json_sha256
 from fishmj.hydro_fit.fit.fit_pipeline import FitPipeline, FitSettings
 from fishmj.hydro_fit.fit.gauss_newton import factors_of
 from fishmj.hydro_fit.fit.rollout import is_free
@@ -47,7 +47,7 @@ class Refit(FitPipeline):
         super().__init__(robot, train, [*val[0], *val[1]], dataset=dataset, settings=settings, folder=folder)
         self.model, self.parts = model, [self._match(part, None) for part in val if part]
         sums = [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in self._first().values()]
-        self.key = hashlib.sha256(json.dumps([self.key, sums]).encode()).hexdigest()
+        self.key = json_sha256([self.key, sums])
 
     def run(self) -> HydroModel:
         """Fits the residual and the factors of the model, then the error bar.

@@ -17,7 +17,7 @@ import numpy as np
 
 from fishmj.base import interrupt
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
-from fishmj.base.store import plain, read_json, write_json
+from fishmj.base.store import json_sha256, plain, read_json, write_json
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import fit_pipeline
 from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit, force
@@ -243,7 +243,7 @@ class Variant(fit_pipeline.FitPipeline):
         stages = list(NEEDS)
         needed = [name for before in stages[: stages.index(stage) + 1] for name in NEEDS[before]]
         about = self.about | {"settings": {name: self.told[name] for name in needed}}
-        return hashlib.sha256(json.dumps(plain(about), sort_keys=True).encode()).hexdigest()
+        return json_sha256(plain(about))
 
     def _path(self, stage: str) -> Path | None:
         return None if self.folder is None else self.folder / f"{stage}-{self._key(stage)[:12]}.safetensors"

@@ -5,8 +5,6 @@ Servos follow commands, joints or a root follow a path exactly, or a policy stee
 the start of the segment, settling included. Angles are rad.
 """
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from math import ceil, log, pi
@@ -16,6 +14,7 @@ import numpy as np
 
 from fishmj import control
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import json_sha256
 from fishmj.engines import nominal_params, ticks_per
 from fishmj.hydro_fit.segment_dataset import SPLITS
 from fishmj.lbm_oracle.run.setup import Gait
@@ -84,7 +83,7 @@ class Segment:
     @property
     def sha256(self) -> str:
         """sha256 of all settings that determine the segment."""
-        return hashlib.sha256(json.dumps(self.table(), sort_keys=True).encode()).hexdigest()
+        return json_sha256(self.table())
 
 
 class Drive(NamedTuple):
