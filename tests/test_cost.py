@@ -12,6 +12,7 @@ from fishmj import cli
 from fishmj.base import console, cost
 from fishmj.base.errors import TooMuch
 from fishmj.gap.bench import bench_command as bench
+from fishmj.gap.bench import bench_rows
 from fishmj.lbm_oracle.run import solver_cost as solver
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.train import training_cost as training
@@ -30,7 +31,7 @@ def without_an_accelerator(monkeypatch):
     monkeypatch.setattr(solver, "usable_cores", lambda: 2)
     monkeypatch.setattr(training, "_kind", lambda: training.CPU)
     monkeypatch.setattr(training, "usable_cores", lambda: 2)
-    monkeypatch.setattr(bench, "usable_cores", lambda: 2)
+    monkeypatch.setattr(bench_rows, "usable_cores", lambda: 2)
     monkeypatch.setattr(cost, "memory_bytes", lambda: 16 * 2**30)
 
 

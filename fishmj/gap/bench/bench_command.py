@@ -24,12 +24,12 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from fishmj.base import console, cost
+from fishmj.base import console
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_text
 from fishmj.gap.bench import cases, families, family_command, logs, power, robot_bench, robot_cases, solver
-from fishmj.gap.bench.bench_rows import judge_cases, read_rows
+from fishmj.gap.bench.bench_rows import agree_to_time, finished_rows, judge_cases
 from fishmj.gap.bench.run_case import fish, run
 from fishmj.gap.bench.score import score
 from fishmj.gap.commands import admission, gap_options
@@ -168,10 +168,9 @@ def refuse(args, names: tuple[str, ...]) -> None:
 def refuse_articulated(args, names: tuple[str, ...]) -> None:
     """Raises ConfigError for an option or a generator that does not go with articulated robots."""
     known = (robot_bench.ALL, *names)
-    asked = {f"--generator {name}": True for name in args.generator if name not in known}
-    asked |= {"--model": args.model != "fish", "--logs": args.logs, "--weighed": args.weighed, "--baselines": args.baselines}
-    asked |= {"--power": args.power, "--effects": args.effects, "--uncalibrated": args.uncalibrated}
-    if given := [option for option, value in asked.items() if value]:
+    given = [f"--generator {name}" for name in args.generator if name not in known] + of_drawn_fish(args)
+    given += [option for option, value in {"--effects": args.effects, "--uncalibrated": args.uncalibrated}.items() if value]
+    if given:
         raise ConfigError(f"gap bench: {given[0]} does not go with --generator {','.join(names)}: robots in MJCF are drawn")
 
 
@@ -180,10 +179,14 @@ def refuse_solver(args) -> None:
     if args.generator != [SOLVER] or not args.sets:
         together = f"its rows and those of other families are scored together by --score (got {','.join(args.generator)})"
         raise ConfigError(f"gap bench: --generator {SOLVER} and --sets DIR go together, alone; {together}")
-    asked = {"--model": args.model != "fish", "--logs": args.logs, "--weighed": args.weighed, "--baselines": args.baselines}
-    asked |= {"--power": args.power}
-    if given := [option for option, value in asked.items() if value]:
+    if given := of_drawn_fish(args):
         raise ConfigError(f"gap bench: {given[0]} does not go with --generator {SOLVER}: its data sets are made")
+
+
+def of_drawn_fish(args) -> list[str]:
+    """The named options for robots that are fish and whose sessions are drawn."""
+    asked = {"--model": args.model != "fish", "--logs": args.logs, "--weighed": args.weighed, "--baselines": args.baselines}
+    return [option for option, value in (asked | {"--power": args.power}).items() if value]
 
 
 def agree(args, many: int, jobs: int) -> None:
@@ -193,11 +196,9 @@ def agree(args, many: int, jobs: int) -> None:
     """
     if args.generator == "lbm":
         return
-    left = many - len(read_rows(args.out / "rows.jsonl") if args.out else ())
+    left = many - len(finished_rows(args.out))
     logs = cases.SMALL if args.small else sum(a * b for a, b in zip(cases.BUDGETS, cases.SHARES, strict=True))
-    seconds = left * logs * A_LOG / min(jobs, usable_cores())
-    less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
-    cost.time("gap bench", seconds, f"{left} cases", instead=less, flag="--yes", agreed=args.yes)
+    agree_to_time(left * logs * A_LOG, left, jobs, args.yes)
 
 
 def _kinds(text: str) -> dict[str, float]:

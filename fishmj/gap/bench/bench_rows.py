@@ -2,11 +2,13 @@
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fishmj.base import console, interrupt
+from fishmj.base import console, cost, interrupt
+from fishmj.base.cores import usable_cores
+from fishmj.base.errors import ConfigError
 from fishmj.base.workers import ask_all
 from fishmj.gap import progress
 
@@ -24,6 +26,42 @@ def read_rows(path: Path) -> list[dict]:
         except json.JSONDecodeError:
             continue
     return out
+
+
+def finished_rows(out: Path | None) -> dict[str, dict]:
+    """Existing rows by id."""
+    return {row["id"]: row for row in read_rows(out / "rows.jsonl")} if out else {}
+
+
+def rows_of_folders(folders: Iterable[Path], decided: Sequence[str]) -> list[dict]:
+    """The rows of several folders, a case that two of them hold once.
+
+    Raises ConfigError: two rows of one id differ in a `decided` entry, so that they are of two benchmarks.
+    """
+    rows: dict[str, dict] = {}
+    for folder in folders:
+        for row in read_rows(folder / "rows.jsonl"):
+            other = rows.setdefault(row["id"], row)
+            if not all(same(other.get(key), row.get(key)) for key in decided):
+                where = f"--score {folder}: row {row['id']} is another case elsewhere"
+                raise ConfigError(f"gap bench: {where}; score one benchmark at a time")
+    return list(rows.values())
+
+
+def refuse_other(row: dict, begun: Mapping[str, Any], folder: Path | None, option: str) -> None:
+    """Raises ConfigError if a kept row differs from what its case begins with. option: what names another folder."""
+    if differs := [key for key, value in begun.items() if not same(row.get(key), value)]:
+        what = f"row {row['id']} differs in {', '.join(differs)}"
+        raise ConfigError(f"gap bench: {folder} holds another benchmark: {what}; take another {option}, or the options of before")
+
+
+def agree_to_time(seconds: float, left: int, jobs: int, agreed: bool, smaller: str = "--small") -> None:
+    """Asks for agreement to weeks of work. seconds: of one core; smaller: the option that makes cases shorter.
+
+    Raises TooMuch: not agreed.
+    """
+    less = f"take fewer --cases, {smaller}, more --jobs, or --shard I/N for several machines"
+    cost.time("gap bench", seconds / min(jobs, usable_cores()), f"{left} cases", instead=less, flag="--yes", agreed=agreed)
 
 
 def same(one: Any, other: Any) -> bool:
@@ -48,10 +86,9 @@ def keep(path: Path, row: dict) -> None:
 
 def judge_cases(todo: list, out: Path | None, ask: Callable, jobs: int = 1, what: str = "bench") -> list[dict]:
     """Rows of all cases; those in `out` are read from there. what: name of the work, for the bar."""
-    rows = {}
+    rows = finished_rows(out)
     if out:
         out.mkdir(parents=True, exist_ok=True)
-        rows = {r["id"]: r for r in read_rows(out / "rows.jsonl")}
     with interrupt.keeping(lambda: words(out, len(rows), len(todo))), progress.terminal_bar(len(todo), what, "cases") as bar:
         waiting = [one for one in todo if one.id not in rows]
         for i, row in enumerate(map(console.plain, ask_all(waiting, ask, jobs)), len(todo) - len(waiting) + 1):

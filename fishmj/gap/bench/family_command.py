@@ -6,13 +6,13 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from fishmj.base import console, cost, interrupt
+from fishmj.base import console, interrupt
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError
 from fishmj.base.workers import ask_all
 from fishmj.gap import progress
 from fishmj.gap.bench import families, family_rows, family_score, power, solver_sets
-from fishmj.gap.bench.bench_rows import read_rows, same
+from fishmj.gap.bench.bench_rows import agree_to_time, finished_rows, read_rows, refuse_other, rows_of_folders, words
 from fishmj.gap.bench.cases import BenchCase
 from fishmj.gap.bench.drawn_robots import BenchRobot, robots
 from fishmj.gap.bench.score import print_score, show_score
@@ -39,7 +39,7 @@ def solver(args) -> int:
     """Runs the benchmark on robots of the flow solver, whose data sets exist (`--sets`). Returns the exit code."""
     todo = solver_sets.robots(args.sets, args.kinds, args.cases)[args.shard[0] :: args.shard[1]]
     if args.effects:
-        todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
+        todo = hiding_any(todo, args.effects)
     if not todo:
         raise ConfigError(f"gap bench: --sets {args.sets}: no case is left; take other --kinds, --effects or --shard")
     return rows_and_score(todo, args, partial(solver_sets.rows, folder=args.sets))
@@ -50,10 +50,7 @@ def rows_and_score(todo: list[BenchRobot], args, ask: Callable[..., list[dict]] 
     jobs = args.jobs or usable_cores()
     found = finished_rows(args.out)
     left = sum(case.id not in found for robot in todo for case in robot.cases)
-    less = "take fewer --cases, --small, more --jobs, or --shard I/N for several machines"
-    cost.time(
-        "gap bench", left * A_CASE / min(jobs, usable_cores()), f"{left} cases", instead=less, flag="--yes", agreed=args.yes
-    )
+    agree_to_time(left * A_CASE, left, jobs, args.yes)
     rows = judge_robots(todo, args, found, jobs, ask)
     strict = args.strict or not (args.small or args.effects or args.shard[1] > 1)
     return print_rows(rows, args, strict)
@@ -68,7 +65,7 @@ def draw_cases(args, names: tuple[str, ...]) -> list[BenchRobot]:
     else:
         todo = robots(many, args.seed, names, args.kinds, logs)[index::shards]
     if args.effects and not args.power:
-        todo = [robot for one in todo for robot in (hiding_any(one, args.effects),) if robot.cases]
+        todo = hiding_any(todo, args.effects)
     if not todo:
         raise ConfigError(f"gap bench: no robot is left of {many} cases, every {shards}th from {index}; take more --cases")
     return todo
@@ -85,32 +82,20 @@ def print_rows(rows: list[dict], args, strict: bool) -> int:
 
 def together(folders: list[Path], args) -> int:
     """Scores the rows of several folders. Raises ConfigError: a folder without rows, or rows of two benchmarks under one id."""
-    rows: dict[str, dict] = {}
     for folder in folders:
         mine = read_rows(folder / "rows.jsonl")
         if not mine:
             raise ConfigError(f"gap bench: --score {folder}: no rows.jsonl with rows in it; name folders of --out")
-        for row in mine:
-            if "family" not in row or "generator" in row:
-                raise ConfigError(
-                    f"gap bench: --score {folder}: row {row.get('id')} is of another benchmark; expected --generator families"
-                )
-            other = rows.setdefault(row["id"], row)
-            if not all(same(other.get(key), row.get(key)) for key in DECIDED):
-                raise ConfigError(
-                    f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark at a time"
-                )
-    return print_rows(list(rows.values()), args, not args.small or args.strict)
+        if others := [row for row in mine if "family" not in row or "generator" in row]:
+            what = f"row {others[0].get('id')} is of another benchmark"
+            raise ConfigError(f"gap bench: --score {folder}: {what}; expected --generator families")
+    return print_rows(rows_of_folders(folders, DECIDED), args, not args.small or args.strict)
 
 
-def hiding_any(one: BenchRobot, effects: tuple[str, ...]) -> BenchRobot:
-    """The robot with only those of its cases in which one of `effects` is hidden."""
-    return one._replace(cases=tuple(case for case in one.cases if set(effects) & set(case.effects)))
-
-
-def finished_rows(out: Path | None) -> dict[str, dict]:
-    """Existing rows by id."""
-    return {row["id"]: row for row in read_rows(out / "rows.jsonl")} if out else {}
+def hiding_any(todo: list[BenchRobot], effects: tuple[str, ...]) -> list[BenchRobot]:
+    """The robots with only those of their cases in which one of `effects` is hidden; none without such a case."""
+    kept = (one._replace(cases=tuple(case for case in one.cases if set(effects) & set(case.effects))) for one in todo)
+    return [robot for robot in kept if robot.cases]
 
 
 def is_finished(row: dict | None, case: BenchCase, one: family_rows.RobotQuery) -> bool:
@@ -119,9 +104,7 @@ def is_finished(row: dict | None, case: BenchCase, one: family_rows.RobotQuery) 
         return False
     begun = console.plain(family_rows.case_facts(case, one))
     keys = DECIDED if not case.times else (*DECIDED[1:], "times", "drawn")  # its size was scaled since
-    if differs := [key for key in keys if not same(row.get(key), begun[key])]:
-        what = f"row {case.id} differs in {', '.join(differs)}"
-        raise ConfigError(f"gap bench: {one.out} holds another benchmark: {what}; take another --out, or the options of before")
+    refuse_other(row, {key: begun[key] for key in keys}, one.out, "--out")
     return True
 
 
@@ -144,12 +127,8 @@ def judge_robots(
     if waiting:
         precompile({one.robot.family for one in waiting})
 
-    def words() -> str:
-        if args.out is None:
-            return "nothing was kept: with --out DIR every finished case is"
-        return f"{args.out} holds {len(set(ids) & set(finished_rows(args.out)))} of {len(ids)} cases; {interrupt.again()}"
-
-    with interrupt.keeping(words), progress.terminal_bar(len(ids), "bench", "cases") as bar:
+    kept = lambda: len(set(ids) & set(finished_rows(args.out)))
+    with interrupt.keeping(lambda: words(args.out, kept(), len(ids))), progress.terminal_bar(len(ids), "bench", "cases") as bar:
         with call_repeatedly(lambda: bar.update(len(set(ids) & set(finished_rows(args.out) or found)))):
             for made in ask_all(waiting, ask or family_rows.rows, jobs):
                 found |= {row["id"]: row for row in made}

@@ -12,11 +12,11 @@ import traceback
 from functools import partial
 from pathlib import Path
 
-from fishmj.base import console, cost
+from fishmj.base import console
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.gap.bench import robot_cases, robot_score
-from fishmj.gap.bench.bench_rows import judge_cases, read_rows, same
+from fishmj.gap.bench.bench_rows import agree_to_time, finished_rows, judge_cases, read_rows, refuse_other, rows_of_folders, same
 from fishmj.gap.bench.run_case import answered_by, effect_row
 from fishmj.gap.bench.score import print_score
 from fishmj.gap.commands import find_robot
@@ -66,15 +66,14 @@ def bench(args, generators: tuple[str, ...]) -> int:
         todo = [case for case in todo if case.generator in selected(args.only_sets)]
     made = judge_cases(todo, folder, partial(robot_cases.make_set, folder), jobs, "data sets")
     for row, case in zip(made, todo, strict=True):
-        robot_cases.check_same(row, case, folder)
+        refuse_other(row, robot_cases.facts(case), folder, "folder")
     console.say(f"{len(made)} data sets in {folder}")
     if args.only_sets:
         return console.OK
     sets = [DataSet(row) for row in sorted(made, key=lambda row: -row.get("joints", 0))]  # the longest searches first
-    done = {row["id"] for row in read_rows(args.out / "rows.jsonl")}
+    done = finished_rows(args.out)
     seconds = sum(A_CASE.get(one.row.get("joints", 1), 60.0) for one in sets if one.id not in done)
-    less = "take fewer --cases, smaller --robots, more --jobs, or --shard I/N for several machines"
-    cost.time("gap bench", seconds / min(jobs, usable_cores()), f"{len(sets)} cases", instead=less, flag="--yes", agreed=args.yes)
+    agree_to_time(seconds, len(sets), jobs, args.yes, "smaller --robots")
     rows = judge_cases(sets, args.out, partial(judge_set, folder), jobs)
     for one, row in zip(sets, rows, strict=True):
         if not same(one.row.get("truth"), row.get("truth")):
@@ -85,15 +84,7 @@ def bench(args, generators: tuple[str, ...]) -> int:
 
 def together(folders: list[Path], args) -> int:
     """Scores the rows of several folders. Raises ConfigError for rows of two benchmarks under one id."""
-    rows: dict[str, dict] = {}
-    for folder in folders:
-        for row in read_rows(folder / "rows.jsonl"):
-            other = rows.setdefault(row["id"], row)
-            if not all(same(other.get(key), row.get(key)) for key in ("truth", "seed")):
-                raise ConfigError(
-                    f"gap bench: --score {folder}: row {row['id']} is another case elsewhere; score one benchmark alone"
-                )
-    return print_score(robot_score, list(rows.values()), args, args.strict)
+    return print_score(robot_score, rows_of_folders(folders, ("truth", "seed")), args, args.strict)
 
 
 def has_rows(folder: Path) -> bool:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_npz, write_text
 from fishmj.gap.bench.cases import draw_card, spread
 from fishmj.gap.laboratory.articulated import robot_session
@@ -98,10 +97,3 @@ def make_set(folder: Path, case: RobotCase) -> dict:
     }
     row |= {"truth": session.hidden, "visible": session.visible, "stand": session.stand._asdict()}
     return row | {"data_cpu_seconds": time.process_time() - begin}
-
-
-def check_same(row: dict, case: RobotCase, folder: Path) -> None:
-    """Raises ConfigError if a row is of another benchmark."""
-    if differs := [key for key, value in facts(case).items() if row.get(key) != value]:
-        what = f"row {case.id} differs in {', '.join(differs)}"
-        raise ConfigError(f"gap bench: {folder} holds another benchmark: {what}; take another folder, or the options of before")
