@@ -21,6 +21,8 @@ from typing import Any, NamedTuple, NoReturn
 
 from fishmj.base import interrupt, terminal
 from fishmj.base.errors import DescriptionError, FishmjError, UnknownName, UsageError
+from fishmj.base.options import DEVICE_HELP as DEVICE_HELP
+from fishmj.base.options import DEVICES_HELP as DEVICES_HELP
 from fishmj.base.options import SEED as SEED
 from fishmj.base.options import SHOWN, shown, unlisted
 from fishmj.base.options import TURN as TURN

@@ -354,6 +354,8 @@ def name(text: str) -> str:
     return text
 
 
+DEVICE_HELP = "auto, cpu, cuda or cuda:N"
+DEVICES_HELP = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
 _DEVICE = r"(auto|cpu|cuda(:\d{1,3})?)"
 _DEVICES = r"cuda:all|cpu(,cpu)+|cuda(:\d{1,3})?(,cuda(:\d{1,3})?)+"
 

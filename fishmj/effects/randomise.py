@@ -39,7 +39,7 @@ def drawn(xp, active: EffectStack, rows, names, uniforms, scale: float = 1.0):
         if name not in names:
             columns.append(rows[:, i] + 0.0 * uniforms[:, 0])
             continue
-        p = active.effects[[e.name for e in active.effects].index(name)].parameter(parameter)
+        p = active.effect(name).parameter(parameter)
         value, side = p.typical[0] + (p.typical[1] - p.typical[0]) * uniforms[:, k], uniforms[:, k + 1]
         k += 2
         if not p.shape:

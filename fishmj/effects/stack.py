@@ -59,6 +59,13 @@ class EffectStack:
             raise UnknownName(f"parameter of {effect} of a robot with {self.joints} joints", parameter, known)
         return self.names.index((effect, parameter))
 
+    def effect(self, name: str) -> Effect:
+        """One of its effects. Raises UnknownName."""
+        found = {effect.name: effect for effect in self.effects}
+        if name not in found:
+            raise UnknownName("effect of this stack", name, found)
+        return found[name]
+
     def flat(self, values: dict[str, dict[str, float]]) -> list[float]:
         """{effect: {parameter: value}} as the flat list; missing parameters keep their null."""
         row = list(self.null)

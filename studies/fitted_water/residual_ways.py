@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from fishmj.base import console
-from fishmj.evaluate.bench import surrogate_speed
+from fishmj.evaluate.bench import hydro, surrogate_speed
 
 SECONDS, SWUM = 10.0, 64  # of the swims that are compared, and fish
 BLOCKS = ((256, 4), (512, 16))  # fish a program and warps, of the kernel of a step
@@ -75,7 +75,7 @@ def places(double: bool) -> np.ndarray:
     from fishmj import engines
     from fishmj.evaluate.bench.engines import _school
 
-    robot = surrogate_speed.robot_of(True)
+    robot = hydro.robot_of(True, made_up=False)
     chunks = round(SECONDS / robot.timing.control_dt)
     with jax.enable_x64(True) if double else nullcontext():
         cast = lambda a: np.asarray(a, np.float64 if double else np.float32) if np.asarray(a).dtype == float else a

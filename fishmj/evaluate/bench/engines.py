@@ -78,9 +78,14 @@ def _engine(name: str, fish: int, chunks: int) -> BenchmarkWork:
     run, where = (_compiled if getattr(engine, "jittable", False) else _stepped)(
         engine, state, commands, params, current, tick, chunks
     )
+    return finite_work(run, name, fish * chunks, f"{where}, water {label(robot)}")
+
+
+def finite_work(run, what: str, amount: float, where: str = "cpu") -> BenchmarkWork:
+    """Warmed-up piece of work; refused if the state of the fish is not finite."""
     if not np.all(np.isfinite(run())):
-        raise NotHere(f"{name} left the finite numbers: its rate would mean nothing")
-    return BenchmarkWork(run, fish * chunks, f"{where}, water {label(robot)}")
+        raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
+    return BenchmarkWork(run, amount, where)
 
 
 def _stepped(engine, state, commands, params, current, tick, chunks):
@@ -156,6 +161,4 @@ def environment(quick: bool) -> BenchmarkWork:
     action = jax.random.uniform(jax.random.key(SEED + 1), (chunks, fish, env.n_act), minval=-0.5, maxval=0.5)
     swim = jax.jit(lambda state, actions: lax.scan(lambda s, a: (env.step(s, a), s.reward), state, actions)[1])
     run = lambda: np.asarray(swim(start, action))
-    if not np.all(np.isfinite(run())):
-        raise NotHere("the environment left the finite numbers: its rate would mean nothing")
-    return BenchmarkWork(run, fish * chunks, f"{jax.devices()[0].device_kind}, water {label(env.robot)}")
+    return finite_work(run, "the environment", fish * chunks, f"{jax.devices()[0].device_kind}, water {label(env.robot)}")

@@ -15,23 +15,23 @@ import numpy as np
 
 from fishmj.base.errors import FishmjError
 from fishmj.evaluate.bench import BenchmarkWork, NotHere, add
-from fishmj.evaluate.bench.engines import on_device
+from fishmj.evaluate.bench.engines import finite_work, on_device
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
 FISH_COMPILED = 4096
 MEMBERS, HIDDEN = 5, 16  # of the residual that the recipe learns
 
 
-def _robot(learnt: bool):
-    """The shipped fish in the shipped fitted water, without its residual or with one of the usual shape.
+def robot_of(learnt: bool, made_up: bool = True):
+    """The shipped fish in the shipped fitted water, without its residual, or with it or with one of the usual shape.
 
-    The weights are made up and small: a step costs the same whatever they are, and the shipped fit may have none.
+    The weights of that one are made up and small: a step costs the same whatever they are, and the shipped fit may have none.
     """
     from fishmj.engines import in_water
     from fishmj.mjcf import load_robot
 
     try:
-        return in_water(load_robot("fish"), _with_residual() if learnt else f"{MODEL}-base")
+        return in_water(load_robot("fish"), (_with_residual() if made_up else MODEL) if learnt else f"{MODEL}-base")
     except FishmjError as error:
         raise NotHere(f"no fitted water {MODEL}: {error}") from error
 
@@ -57,13 +57,6 @@ def _beat(t, joints: int) -> np.ndarray:
     return np.minimum(t, 1.0) * 0.4 * np.sin(2 * np.pi * t - np.arange(joints))
 
 
-def _finite(run, what: str, amount: float, where: str = "cpu") -> BenchmarkWork:
-    """Warmed-up piece of work; refused if the state of the fish is not finite."""
-    if not np.isfinite(run()).all():
-        raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
-    return BenchmarkWork(run, amount, where)
-
-
 # one fish in MuJoCo
 
 
@@ -80,7 +73,7 @@ def _alone(quick: bool, water: str) -> BenchmarkWork:
     from fishmj.water.link_wrench import LinkWrench
     from fishmj.water.planar_water import PlanarWater
 
-    robot = _robot(water in ("residual", "wrench"))
+    robot = robot_of(water in ("residual", "wrench"))
     model = mjcf.build(robot, bare=True, ellipsoid=water == "ellipsoid")
     steps = 200 if quick else 1000
     beat = _beat(np.arange(steps) * robot.timing.physics_dt, robot.n_joints)
@@ -95,7 +88,7 @@ def _alone(quick: bool, water: str) -> BenchmarkWork:
                 fish.step(data) if fish else mujoco.mj_step(model, data)
         return data.qpos.copy()
 
-    return _finite(run, water, steps)
+    return finite_work(run, water, steps)
 
 
 # engines: many fish
@@ -106,7 +99,7 @@ def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> B
     from fishmj import engines
     from fishmj.water.flow import Flow, stack
 
-    robot = _robot(learnt)
+    robot = robot_of(learnt)
     engine = engines.make(name, robot)
     steps, ticks = engines.ticks_per(robot)
     fish = fish // 8 if quick else fish
@@ -120,7 +113,7 @@ def _engine(name: str, quick: bool, learnt: bool = False, fish: int = FISH) -> B
         given, advance = on_device(given), jax.jit(engine.advance)
         where = jax.devices()[0].device_kind
     tick = np.zeros(fish, np.int32)
-    return _finite(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
+    return finite_work(lambda: np.asarray(advance(*given, tick)[0].q), name, fish * ticks * steps, where)
 
 
 def hydro_mjx_residual(quick: bool) -> BenchmarkWork:
@@ -154,7 +147,7 @@ def _swim(quick: bool, learnt: bool) -> BenchmarkWork:
     still = np.zeros((FISH, ticks, ch.n, 2))
     fleet = FishBatch(state, state, target, still, still[:, :, 0], none, none + 1, ((0, 0),) * FISH)
     swim, water = SwimWindow(ch, planar_chain.nominal(robot)), flat(model.base)
-    return _finite(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
+    return finite_work(lambda: swim.run(fleet, water, model.learnt if learnt else None).q, "the swim", FISH * ticks * steps)
 
 
 passive, residual = partial(_alone, water="passive"), partial(_alone, water="residual")

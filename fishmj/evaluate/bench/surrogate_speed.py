@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.base.errors import FishmjError
 from fishmj.evaluate.bench import BenchmarkWork, NotHere, add, benchmark, oracle
 from fishmj.evaluate.bench import hydro as water
-from fishmj.evaluate.bench.engines import on_device
+from fishmj.evaluate.bench.engines import finite_work, on_device
 
 FISH, FISH_MJX, FISH_CPU, FISH_QUICK = 2**17, 2**14, 1024, 64
 CHUNKS = 10  # control steps a run, in one compiled scan
@@ -25,17 +24,6 @@ def coupled_tank(quick: bool) -> BenchmarkWork:
     return oracle._resting(domain, device, ticks, 1, domain.dt)
 
 
-def robot_of(learnt: bool):
-    """The shipped fish in the shipped fitted water, with its residual or without: XLA leaves out weights that are zero."""
-    from fishmj.engines import in_water
-    from fishmj.mjcf import load_robot
-
-    try:
-        return in_water(load_robot("fish"), water.MODEL if learnt else f"{water.MODEL}-base")
-    except FishmjError as error:
-        raise NotHere(f"no fitted water {water.MODEL}: {error}") from error
-
-
 def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **options) -> BenchmarkWork:
     """So many fish through `CHUNKS` control steps by an engine with these options, in the shipped water."""
     import jax
@@ -44,7 +32,7 @@ def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **optio
     from fishmj import engines
     from fishmj.water.flow import Flow, stack
 
-    robot = robot_of(learnt)
+    robot = water.robot_of(learnt, made_up=False)  # XLA leaves out weights that are zero
     engine, device = engines.make(name, robot, **options), jax.devices()[0]
     if device.platform == "cpu":
         fish = min(fish, FISH_QUICK if quick else FISH_CPU)
@@ -69,7 +57,7 @@ def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **optio
 
     beat = jax.device_put(beat.astype(np.float32))
     seconds = fish * chunks * timing.control_dt
-    return water._finite(lambda: np.asarray(swim(state, params, current, beat)), name, seconds, device.device_kind)
+    return finite_work(lambda: np.asarray(swim(state, params, current, beat)), name, seconds, device.device_kind)
 
 
 UNIT, planar = "simulated s/s", partial(swum, "planar")

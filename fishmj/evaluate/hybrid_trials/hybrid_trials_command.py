@@ -81,7 +81,7 @@ def options() -> console.Parser:
     add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
     console.add_settings(parser, HybridOptions, "every", "first", "lead", "own")
     add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--device", type=console.device, default="auto", help=console.DEVICE_HELP)
     add("--tanks", type=console.whole(1, 256), help=f"side by side; default {ON_GPU} on a GPU, which they fill, else 1")
     add("--seed", type=console.SEED, default=0, help="of the trials")
     place = "folder of solved trials and figures; goes on with what is there"

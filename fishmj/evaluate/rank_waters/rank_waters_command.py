@@ -60,7 +60,7 @@ def options() -> console.Parser:
     add("--model", type=console.text, help=model)
     add("--engine", choices=engines.NAMES, default="batch", help="of the surrogate")
     add("--domain", choices=EVERY, help="box of the solver; by default that of the model's segments; laptop is a preview")
-    add("--device", type=console.device, default="auto", help="of the solver: auto, cpu, cuda or cuda:N")
+    add("--device", type=console.device, default="auto", help=f"of the solver: {console.DEVICE_HELP}")
     tanks = f"trials side by side in the solver; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
     part = "of the decided 72, spread over speeds and directions"

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.bench.score import inside, middle, names, relative_errors, same, share, share_line, share_of, twin
+from fishmj.gap.bench.score import figure_line, inside, middle, names, relative_errors, same, share, share_of, twin
 from fishmj.gap.laboratory.generators.detectability import BOUND
 
 
@@ -112,7 +112,7 @@ def _mean(values: list[float]) -> float | None:
 def report_lines(result: dict) -> list[str]:
     """Score as lines of text: the pooled figures with their aims, then a table of the families and of the two kinds of model."""
     aims = {aim["aim"]: aim for aim in result["aims"]}
-    lines = ["all families", *(_line(key, value, aims.get(key)) for key, value in result["pooled"].items())]
+    lines = ["all families", *(figure_line(key, value, aims.get(key)) for key, value in result["pooled"].items())]
     parts = {**result["families"], **{f"model {name}": found for name, found in result["models"].items()}}
     lines += ["", console.table([{"": name} | _cells(found) for name, found in parts.items()])]
     few = [(aim["n"], aim["asked"], KINDS[aim["aim"]]) for aim in result["aims"] if aim["aim"] in KINDS]
@@ -130,9 +130,3 @@ def report_lines(result: dict) -> list[str]:
 def _cells(found: dict) -> dict:
     """Table cells of a family: the figures of the aims, as hits and cases."""
     return {aim.key.replace("_", " "): f"{found[aim.key]['hits']} of {found[aim.key]['n']}" for aim in AIMS}
-
-
-def _line(key: str, value, aim: dict | None = None) -> str:
-    if isinstance(value, dict):
-        return share_line(key, value, aim)
-    return f"  {key:28s} {value if value is None or isinstance(value, int) else round(value, 3)}"

@@ -19,7 +19,7 @@ from fishmj import effects
 from fishmj.base import console
 from fishmj.gap.bench.family_score import Aim
 from fishmj.gap.bench.robot_thresholds import SHIPPED, chosen, replayed
-from fishmj.gap.bench.score import names, share, share_line, share_of
+from fishmj.gap.bench.score import figure_line, names, share, share_of
 from fishmj.gap.laboratory.articulated.robot_session import SEEN
 
 AIMS = (
@@ -203,9 +203,7 @@ def _cells(found: dict) -> dict:
 
 
 def _line(key: str, value, aim: dict | None) -> str:
-    if not isinstance(value, dict):
-        return f"  {key:24s} {value if value is None or isinstance(value, int) else round(value, 1)}"
-    if key == "value_error_median":
+    if key == "value_error_median" and value:
         within = f"95 %: {value['low']:.1%} to {value['high']:.1%}"
         return f"  {key:24s} {value['value']:6.1%}  ({value['n']} values; {within})  aim <= {ERROR:.0%}"
-    return share_line(key, value, aim, 24)
+    return figure_line(key, value, aim, 24, 1)

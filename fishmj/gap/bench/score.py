@@ -46,12 +46,14 @@ def middle(values: list[float], quantile: float = 0.5) -> float | None:
     return float(np.quantile(values, quantile)) if values else None
 
 
-def share_line(key: str, found: dict, aim: dict | None, width: int = 28) -> str:
-    """A share as a line of text, with its aim and whether it is met."""
-    if not found["n"]:
+def figure_line(key: str, value, aim: dict | None = None, width: int = 28, digits: int = 3) -> str:
+    """A figure as a line of text: a number, or a share with its bounds, its aim and whether it is met."""
+    if not isinstance(value, dict):
+        return f"  {key:{width}s} {value if value is None or isinstance(value, int) else round(value, digits)}"
+    if not value["n"]:
         return f"  {key:{width}s}      -  (none)"
-    within = f"95 %: {found['low']:.1%} to {found['high']:.1%}"
-    text = f"  {key:{width}s} {found['value']:6.1%}  ({found['hits']} of {found['n']}; {within})"
+    within = f"95 %: {value['low']:.1%} to {value['high']:.1%}"
+    text = f"  {key:{width}s} {value['value']:6.1%}  ({value['hits']} of {value['n']}; {within})"
     if aim is None:
         return text
     low, high = aim["low"], aim["high"]

@@ -138,7 +138,7 @@ def _numbers(free: list[OpenNumber], found: LeastSquaresFit) -> tuple[FittedNumb
 
 def _inert(model: RigidRobot, name: str) -> FittedNumber:
     """An effect that no log shows."""
-    p = next(e for e in model.active.effects if e.name == name).parameters[0]
+    p = model.active.effect(name).parameters[0]
     base, sigma = stated(model, name), thresholds().fit.prior_sd * abs(p.typical[1] - p.null)
     return FittedNumber(name, p.unit, base, base, max(base - sigma, base + p.low), base + sigma, 0.0, False, (), True)
 

@@ -111,7 +111,7 @@ def apply(
     from fishmj.gap.commands import reported
 
     verdict = reported.verdict(report, context=True)
-    context, folder = verdict["context"], report if report.is_dir() else report.parent
+    context, folder = verdict["context"], reported.verdict_file(report).parent
     if model_version.digest(context["model"]) != context["model_sha256"]:
         raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
     robot = load_robot(context["model"])

@@ -16,6 +16,7 @@ from fishmj import effects
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import write_bytes, write_text
 from fishmj.gap.commands.find_robot import searched_model
+from fishmj.gap.commands.reported import verdict_file
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.callback_module import BeyondFields, module_text, stem_of
 from fishmj.gap.models.rigid_robot import AT
@@ -46,7 +47,7 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool, coun
     robot = read_robot(path)
     held = [held_by_mjcf(e) for e in named]
     m, delay, beyond = changed(robot, held)
-    version = out or next_version(path, report if report.is_dir() else report.parent)
+    version = out or next_version(path, verdict_file(report).parent)
     module = version.with_name(f"{stem_of(version.name)}.py")
     if version.suffix != ".xml":
         raise ConfigError(f"{version}: a version of a robot is an .xml file; choose such a name with --out")
@@ -81,8 +82,8 @@ def check_command(report: Path, verdict: dict, version: Path, data: Path | None)
     """Words of the command that compares a version with its parent, on the logs of the search unless others are given."""
     context = verdict["context"]
     words = ["fishmj", "gap", "check", str(version), "--data", str(data or context.get("data") or "LOGS")]
-    beside = report if report.is_dir() else report.parent
-    words += [] if version.resolve().parent == beside.resolve() else ["--parent", context["model"]]
+    beside = version.resolve().parent == verdict_file(report).parent.resolve()
+    words += [] if beside else ["--parent", context["model"]]
     return words + (["--columns", context["columns"]] if context.get("columns") else ["--yes"])
 
 

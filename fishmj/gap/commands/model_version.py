@@ -12,12 +12,11 @@
 The blocks [[effect]] below it are `fishmj.effects.effect_calibration`'s. The parent's text is kept beside the version.
 """
 
-import hashlib
 from pathlib import Path
 
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import ConfigError
-from fishmj.base.store import write_text
+from fishmj.base.store import sha256, write_text
 from fishmj.effects import effect_calibration, get
 from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.log.toml import dumps
@@ -26,7 +25,7 @@ from fishmj.mjcf.reading import load_robot, robot_from_dict
 
 def digest(path: "str | Path") -> str:
     """sha256 of a model's text."""
-    return hashlib.sha256(resolve(path).read_bytes()).hexdigest()
+    return sha256(resolve(path))
 
 
 def facts(path: "str | Path") -> dict:

@@ -89,7 +89,7 @@ def main(argv: list[str]) -> int:
 
 def _opened(args, null: SimulatedNull):
     """(answer, model, sides, a record, the search's own advice) of a report or a data set."""
-    report = args.source / "verdict.json" if args.source.is_dir() else args.source
+    report = reported.verdict_file(args.source)
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.laboratory.virtual_robot import generate
 

@@ -158,12 +158,17 @@ class _Version(_ReportTable):
     judged_gap: Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
 
+def verdict_file(report: Path) -> Path:
+    """The verdict.json of a report, which is that file or its folder."""
+    return report / "verdict.json" if report.is_dir() else report
+
+
 def verdict(report: Path, *, context: bool) -> dict[str, Any]:
     """The verdict from a report's folder or verdict.json. context: the search's inputs must be there, too.
 
     Raises StoreError: no such file, or not JSON; ConfigError: not written by gap find; names the field.
     """
-    path = report / "verdict.json" if report.is_dir() else report
+    path = verdict_file(report)
     found = read_json(path)
     if of_robot(found):
         raise ConfigError(f"{path}: of a robot in MJCF, which fishmj gap apply takes; its page says what separates effects")
@@ -180,7 +185,7 @@ def of_robot(found: object) -> bool:
 
 def is_of_robot(report: Path) -> bool:
     """Returns True for a report's folder or verdict.json on a robot in MJCF."""
-    path = report / "verdict.json" if report.is_dir() else report
+    path = verdict_file(report)
     return path.is_file() and path.suffix == ".json" and of_robot(read_json(path))
 
 
@@ -189,7 +194,7 @@ def robot_verdict(report: Path) -> dict[str, Any] | None:
 
     Raises StoreError: no such file, or not JSON; ConfigError: not written by gap find; names the field.
     """
-    path = report / "verdict.json" if report.is_dir() else report
+    path = verdict_file(report)
     found = read_json(path)
     if not of_robot(found):
         return None

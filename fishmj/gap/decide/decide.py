@@ -94,12 +94,16 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
         return Verdict("UNEXPLAINED", effects=tentative, reason=why, **plain)
     stand = support_of_each(found, gates)
     effects = named_effects(found, found.best, stand)
-    # Null runs draw their own value of an effect. A single effect of that size is no finding, unless its gain rules out chance.
-    if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.certain_gain:
-        why = f"{title(effects[0].name)} comes out as no more than chance may make of it"
+
+    def dismissed(why: str) -> Verdict:
+        """The verdict where what was found is not believed."""
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
+
+    # Null runs draw their own value of an effect. A single effect of that size is no finding, unless its gain rules out chance.
+    if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.certain_gain:
+        return dismissed(f"{title(effects[0].name)} comes out as no more than chance may make of it")
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.certain_gain) for n in effects}
     dropped = negligible(found, effects, stand, doubts, gates)
     checks |= held_out_checks(e, found)
@@ -111,9 +115,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     elif usual and e.drawn and checks["closure"] < gates.closure:
         most = max(usual, key=lambda name: stand[name].gain)
         why = f"{title(most)} gains {number(stand[most].gain)}, as an effect of its stage may in a healthy robot of another water"
-        if checks["adequacy"] <= gates.adequacy:
-            return Verdict("AGREES", reason=why, tentative=effects, **plain)
-        return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
+        return dismissed(why)
     wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
     # Doubts test how well the records agree about a size. The error of its formula in another water is common to all of them.
@@ -229,7 +231,7 @@ def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_
     closed = likelihood.closure(base - ideal, near.loss(c.row) - ideal, 0)
     out = []
     for name in c.names:
-        effect = next(x for x in e.model.active.effects if x.name == name)
+        effect = e.model.active.effect(name)
         values = {}
         for p in effect.parameters:
             k = c.places.index(e.model.index(name, p.name))
@@ -244,7 +246,7 @@ def sanity(e: Likelihood, c: Candidate, n: NamedEffect, little: bool = True) -> 
     """Doubts about the values of one effect. little: its gain is so small that any effect could have it."""
     limits = thresholds()
     size = bounds(e.model)[2]
-    effect = next(x for x in e.model.active.effects if x.name == n.name)
+    effect = e.model.active.effect(n.name)
     out = []
     for p in effect.parameters:
         place = e.model.index(n.name, p.name)
@@ -432,7 +434,7 @@ def size_parameters(effect) -> list:
 
 def smaller_than(e: Likelihood, n: NamedEffect, share: float) -> bool:
     """Returns True if every main value is less than `share` of the least typical one."""
-    main = size_parameters(next(x for x in e.model.active.effects if x.name == n.name))
+    main = size_parameters(e.model.active.effect(n.name))
     return all(abs(n.parameters[p.name].value - p.null) < share * min(abs(t - p.null) for t in p.typical) for p in main)
 
 
@@ -453,6 +455,6 @@ def within_null_scatter(e: Likelihood, effects) -> bool:
         return False
     if smaller_than(e, effects[0], thresholds().secondary.implausible_size):
         return True
-    main = size_parameters(next(x for x in e.model.active.effects if x.name == effects[0].name))
+    main = size_parameters(e.model.active.effect(effects[0].name))
     values = effects[0].parameters
     return insignificant(main, values) if len(main) > 1 else poorly_determined(main[0], values[main[0].name])

@@ -220,7 +220,7 @@ def extended(study: Study, has=()) -> Candidate:
     whole = Fold(study, study.learn)
     found = whole.base
     for name in has:
-        found = whole.ranked([next(e for e in study.plant.active.effects if e.name == name)], 1)[0]
+        found = whole.ranked([study.plant.active.effect(name)], 1)[0]
     return found
 
 

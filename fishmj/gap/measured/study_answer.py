@@ -104,7 +104,7 @@ def share(found: StudyOutcome, i: int) -> float:
 def named_effect(study: Study, r: SelectionRound, closed: float) -> NamedEffect:
     """The effect of a round: value on all records, 90 % interval by the jackknife over the folds."""
     name = r.fitted.names[-1]
-    effect = next(e for e in study.plant.active.effects if e.name == name)
+    effect = study.plant.active.effect(name)
     values = {}
     for p in effect.parameters:
         place = study.plant.index(name, p.name)

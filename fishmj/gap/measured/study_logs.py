@@ -69,10 +69,6 @@ def logs_of(study: StudyInput) -> list[Log]:
     folder = _inside(study)
     if not study.columns:
         if not any(folder.rglob("meta.toml")) and not (folder / "manifest.json").is_file():
-            if not folder.is_dir():
-                raise LogError(
-                    f"{study.where} [data] folder: {shown_path(folder)}: no such folder; folders are told from the file"
-                )
             raise LogError(
                 f"{study.where}: {shown_path(folder)} holds no trial folders and the study no [columns]; "
                 "add [columns] with the names in your tables"
@@ -82,14 +78,16 @@ def logs_of(study: StudyInput) -> list[Log]:
 
 
 def _inside(study: StudyInput) -> Path:
+    """The folder of the logs. Raises LogError: there is none."""
     given = Path(str(study.given.data.folder)).expanduser()
-    return given if given.is_absolute() else study.folder / given
+    folder = given if given.is_absolute() else study.folder / given
+    if not folder.is_dir():
+        raise LogError(f"{study.where} [data] folder: {shown_path(folder)}: no such folder; folders are told from the file")
+    return folder
 
 
 def _files(study: StudyInput, folder: Path) -> list[Path]:
     """Tables of the folder and of folders in it; links are not followed."""
-    if not folder.is_dir():
-        raise LogError(f"{study.where} [data] folder: {shown_path(folder)}: no such folder; folders are told from the file")
     pattern = study.given.data.files
     every = (p for p in folder.rglob("*") if not p.is_symlink() and p.is_file() and not p.name.startswith("."))
     found = sorted(p for p in every if fnmatchcase(p.name, pattern) or fnmatchcase(p.relative_to(folder).as_posix(), pattern))

@@ -167,7 +167,7 @@ def rows_of(tank: Tank, constant: str, term: str, grid: np.ndarray) -> np.ndarra
     rows = np.tile(plant.null, (len(grid), 1))
     rows[:, [c.name for c in plant.constants].index(constant)] = grid[:, 0]
     if term:
-        effect = next(e for e in plant.active.effects if e.name == term)
+        effect = plant.active.effect(term)
         rows[:, plant.index(term, effect.parameters[0].name)] = grid[:, 1]
     return rows
 

@@ -245,7 +245,7 @@ def on_records(search: EffectFitter, c: Candidate) -> Candidate:
 
 def drop_effect(search: EffectFitter, c: Candidate, name: str) -> Candidate:
     """The candidate with one effect at its null."""
-    effect = next(x for x in search.model.active.effects if x.name == name)
+    effect = search.model.active.effect(name)
     gone = {search.model.index(name, p.name) for p in effect.parameters}
     row = c.row.copy()
     row[list(gone)] = search.model.null[list(gone)]

@@ -165,7 +165,7 @@ def _parser() -> console.Parser:
     add("--domain", choices=NAMES, default="flow_tank", help="box of water; laptop is a preview")
     cell = "another cell, same size, dt in proportion; by default the domain's"
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--device", type=console.device, default="auto", help=console.DEVICE_HELP)
     out = "CSV, JSON and picture; those that are there are replaced"
     add("--out", type=console.out_folder, default="runs/drift", metavar="FOLDER", help=out)
     return p

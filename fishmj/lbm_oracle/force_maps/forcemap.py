@@ -166,8 +166,7 @@ def _parser() -> console.Parser:
     add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
     console.add_settings(p, SwimSetup, "robot", "slip")
     boundary_option(add)
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
+    add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)
     tanks = "points side by side on each device; 4 to 8 fill a GPU; default 1"
     add("--tanks", type=console.whole(1, 256), default=1, metavar="N", help=tanks)
     add("--fields", action="store_true", help=f"slices and pictures of the water at {PICTURED} m/s")

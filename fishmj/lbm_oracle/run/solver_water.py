@@ -78,8 +78,7 @@ def study_options(add: Callable[..., Any], slips: Iterable[float]) -> None:
     slip = f"quoted at the paper's grid: 1 slides, 0 sticks; default {' '.join(f'{s:g}' for s in slips)}"
     add("--slips", type=console.number(0, 1), nargs="+", action=console.Distinct, metavar="S", help=slip)
     boundary_option(add)
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
+    add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)
 
 
 def study_slips(who: str, slips: list[float] | None, boundary: str, usual: Iterable[float]) -> list[float]:

@@ -205,7 +205,7 @@ def _parser() -> console.Parser:
     box = "box of water; laptop is a preview, _refined has finer cells round the fish"
     add("--preset", choices=EVERY, default="window", help=box)
     console.add_settings(p, SwimSetup, "robot")
-    add("--device", type=console.device, default="auto", help="auto, cpu, cuda or cuda:N")
+    add("--device", type=console.device, default="auto", help=console.DEVICE_HELP)
     add("--frequency", type=console.number(0.01, 20), default=1.0, metavar="HZ", help="of the beat")
     bend = console.number(-180, 180)
     add("--amplitude", type=bend, nargs="+", default=[30.0], metavar="DEG", help="of the joints: one, or one a joint")

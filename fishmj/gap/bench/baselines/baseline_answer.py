@@ -23,8 +23,7 @@ NOTHING = BaselineAnswer({}, False, "nothing stands out")
 
 def values(plant, row: np.ndarray, names) -> dict[str, dict[str, float]]:
     """{effect: {parameter: value}} of a parameter row."""
-    mine = {e.name: e for e in plant.active.effects}
-    return {n: {p.name: float(row[plant.index(n, p.name)]) for p in mine[n].parameters} for n in names}
+    return {n: {p.name: float(row[plant.index(n, p.name)]) for p in plant.active.effect(n).parameters} for n in names}
 
 
 def unsized(plant, name: str, reason: str) -> BaselineAnswer:

@@ -184,7 +184,7 @@ def main(argv: list[str]) -> int:
     cut = "cut the swims to this length; by default they are run to their end"
     add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
     add("--domain", choices=EVERY, default="paper", help="box of the flow solver")
-    add("--device", type=console.device, default="cpu", help="of the flow solver: auto, cpu, cuda or cuda:N")
+    add("--device", type=console.device, default="cpu", help=f"of the flow solver: {console.DEVICE_HELP}")
     add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side in the solver")
     add("--seed", type=console.SEED, help="of the robot; by default drawn by the system")
     add("--overwrite", action="store_true", help="replace the data set that is there")

@@ -49,8 +49,7 @@ def main(argv: list[str]) -> int:
     add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of what nobody measured")
     add("--slip", type=console.number(0, 1), default=1.0, help="ratio of the hull, quoted at the paper's grid")
     add("--domain", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
+    add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)
     many = f"experiments side by side on each device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), help=many)
     add("--out", type=console.out_folder, help="folder of data sets; goes on with what is there; needed unless --dry-run")

@@ -255,8 +255,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--domain", choices=EVERY, help=domain)
     dt = "another time step; by default the data set's, else the domain's"
     add("--dt", type=console.number(1e-5, 0.02), metavar="S", help=dt)
-    place = "auto, cpu, cuda, cuda:N, or several: cuda:all, cuda:0,cuda:1; default auto, one of them"
-    add("--device", type=console.devices, default="auto", help=place)
+    add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)
     tanks = f"segments side by side on each device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
     ray = "run on a Ray cluster: an address, auto, or local:N for N workers here; by default without one"
