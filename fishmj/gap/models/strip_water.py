@@ -3,14 +3,12 @@
 row = [k and cn of head, body and tail as factors; the other coefficients in SI; the effects that the description lists]
 """
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from fishmj import effects
 from fishmj.base.calib import calib_folder, read_toml
-from fishmj.gap.models.kernel import Kernel
 from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot
@@ -125,6 +123,7 @@ class GatedWater(StripWaterFish):
 
     def __init__(self, robot: "Robot | str" = "fish", more: tuple[str, ...] = ()):
         super().__init__(robot, more)
+        self.inputs = self.joints + 1  # the gate beside the commands
         self.numbers = self.constants
         self.constants = (*self.numbers, *(Constant(f"{c.name} swing", np.inf) for c in self.numbers))
 
@@ -134,13 +133,6 @@ class GatedWater(StripWaterFish):
         described = super().nothing
         at = len(self.numbers)
         return np.concatenate([described[:at], np.zeros(at), described[at:]])
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Compiled rollouts of the swimming fish, with the gate as one more input."""
-        n = len(self.constants) + len(self.active.null) + 2
-        watched = 2 * (self.joints + 3) + 1
-        return Kernel(self._step, self._look, states=self.states, inputs=self.joints + 1, parameters=n, watched=watched)
 
     def _step(self, state, command, row):
         at = len(self.numbers)

@@ -86,7 +86,7 @@ class SwimmingFish(ParameterRow):
     def __init__(self, robot: "Robot | str" = "fish", catalogue=None):
         self.robot = load_robot(robot)
         self.dt = self.robot.timing.physics_dt
-        self.joints = self.robot.n_joints
+        self.joints = self.inputs = self.robot.n_joints
         chosen = effects.catalogue().values() if catalogue is None else catalogue
         self.active = effects.EffectStack([e for e in chosen if not e.stochastic], self.joints)
         self.constants = CONSTANTS
@@ -123,7 +123,7 @@ class SwimmingFish(ParameterRow):
         """Compiled rollouts; tens of seconds the first time on a machine."""
         n = len(self.constants) + len(self.active.null) + 2  # and the current of the log
         watched = 2 * (self.joints + 3) + 1
-        return Kernel(self._step, self._look, states=self.states, inputs=self.joints, parameters=n, watched=watched)
+        return Kernel(self._step, self._look, states=self.states, inputs=self.inputs, parameters=n, watched=watched)
 
     def _step(self, state, command, row):
         """One physics step in components."""
