@@ -48,7 +48,7 @@ WEIGHTS = {  # digest of the arrays that the flow solver judged: a policy traine
     "paper": "30be15fc7745b3de5c71abceefa1cb316fc0ca8e2c0e5ea40991ed788cf97703",
     "pilot": "f73d422ad9ab2e6acafd3b1eb236210eb6972799244d7354069dc12ea52383b6",
     "station": "9bd216c1096445e789053ce72d72575e4437baaa49182d8d06c0b7e6ca766ee2",
-    "station-family": "8cbd0d58cbfabf5d1eb813b800cfa258d42ee4d26701a96996e96d8fd88cbfa0",
+    "station-family": "7dc318fb5c654bb30bc7aa8acb25b57ddf9c2f12a0596d46a701d829af4885b8",
     "station-sac": "4a3c88ca054e9ba543e943c149920281f4a7a2696e00773758caf76bd497f871",
 }
 

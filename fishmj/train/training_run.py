@@ -87,6 +87,7 @@ class Assessment:
     def __call__(self, actor, key):
         """Figures as scalars: return, arrival, rmse_last10, within (share of episodes with rmse_last10 < 0.1 m)."""
         state = self.env.reset(key, self.episodes, False)
+        state = state._replace(count=jnp.zeros_like(state.count))  # short episodes are whole ones, too
 
         def one(carry, _):
             state, alive = carry

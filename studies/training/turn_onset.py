@@ -1,6 +1,6 @@
 """Time before a fish that starts on its target, headed downstream, turns: `python -m studies.training.turn_onset POLICY`.
 
-    python -m studies.training.turn_onset station-family studies/training/seeds/short-episodes.safetensors     30 s of one core
+    python -m studies.training.turn_onset station-family studies/training/seeds/seed-3.safetensors     30 s of one core
 
 16 starts in each stream in the fitted water `swift`; medians. The turn begins where the heading is 30 deg off downstream, and
 ends where it is 150 deg off. *synthetic*
