@@ -67,8 +67,8 @@ def test_autocorrelation_makes_samples_fewer():
     rng = np.random.default_rng(0)
     white = rng.normal(size=4000)
     slow = np.convolve(white, np.ones(20) / 20, mode="valid")
-    assert noise.tau(white) == pytest.approx(1.0, abs=0.3)
-    assert noise.tau(slow) == pytest.approx(20.0, rel=0.4)
+    assert noise.correlation_time(white) == pytest.approx(1.0, abs=0.3)
+    assert noise.correlation_time(slow) == pytest.approx(20.0, rel=0.4)
 
 
 def test_rows_are_scored_like_the_search(plant):

@@ -26,7 +26,7 @@ def sigma_of(layout: ResidualLayout, residual: np.ndarray) -> np.ndarray:
     return noise
 
 
-def tau(values: np.ndarray) -> float:
+def correlation_time(values: np.ndarray) -> float:
     """Integrated autocorrelation time, in samples."""
     return correlation_length(values, LONGEST)
 
@@ -37,9 +37,9 @@ def channels(layout: ResidualLayout) -> dict[str, np.ndarray]:
 
 
 def effective(z: np.ndarray, layout: ResidualLayout) -> dict[str, float]:
-    """Independent samples in each channel: sum over its blocks of n / tau."""
+    """Independent samples in each channel: sum over its blocks of n over the correlation time."""
     out: dict[str, float] = {}
     for b in layout.blocks:
         part = z[b.where]
-        out[b.channel] = out.get(b.channel, 0.0) + len(part) / tau(part)
+        out[b.channel] = out.get(b.channel, 0.0) + len(part) / correlation_time(part)
     return out

@@ -9,7 +9,7 @@ The largest rho / bound above LOUD is named by the effect for which such a corre
 import numpy as np
 
 from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, unsized
-from fishmj.gap.bench.baselines.noise import tau
+from fishmj.gap.bench.baselines.noise import correlation_time
 from fishmj.gap.records.records import ChannelBlock, Record, ResidualLayout
 
 LEVEL = 2.58
@@ -45,7 +45,7 @@ def answer(plant, records: list[Record]) -> BaselineAnswer:
             if np.std(x) < 1e-9 and name != "one" or scale < 1e-12:
                 continue
             a, c = (r, x) if name == "one" else (r - r.mean(), x - x.mean())
-            independent = len(r) / max(tau(r), tau(x) if name != "one" else 1.0)
+            independent = len(r) / max(correlation_time(r), correlation_time(x) if name != "one" else 1.0)
             part = np.array([independent, independent * float(a @ c) / np.sqrt(float(a @ a) * float(c @ c) + 1e-30)])
             key = (b.channel, name)
             sums[key] = sums.get(key, np.zeros(2)) + part
