@@ -75,14 +75,22 @@ def swim(names=("joint_1", "joint_2", "joint_3")):
 
 def json_recording(path, message, topic="/joint_states"):
     """An MCAP file of the JSON messages `message(i)`."""
+    return json_topics(path, {topic: message})
+
+
+def json_topics(path, topics, log_time=stamp):
+    """An MCAP file of the JSON messages `message(i)` of each topic; none where it gives None."""
     from mcap.writer import Writer
 
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
-        channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=0)
+        channels = {topic: writer.register_channel(topic=topic, message_encoding="json", schema_id=0) for topic in topics}
         for i in range(ROWS):
-            writer.add_message(channel, log_time=stamp(i), publish_time=stamp(i), data=json.dumps(message(i)).encode())
+            for topic, message in topics.items():
+                if (content := message(i)) is not None:
+                    data = json.dumps(content).encode()
+                    writer.add_message(channels[topic], log_time=log_time(i), publish_time=log_time(i), data=data)
         writer.finish()
     return path
 

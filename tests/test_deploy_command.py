@@ -34,7 +34,7 @@ from fishmj.log import read_trial
 from fishmj.log.excitation import LEAD
 from fishmj.log.export import _KIND
 from fishmj.log.foxglove import SCHEMAS
-from fishmj.log.importers.message_recordings import KEPT
+from fishmj.log.importers.message_sheets import KEPT
 from fishmj.mjcf.description import RigSpec
 from fishmj.mjcf.reading import load_robot
 from studies.tracker import cases

@@ -20,7 +20,7 @@ from fishmj.log.importers import gather, guess, guessed, other_files, registry, 
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
 from fishmj.log.importers.set_option import overrides
-from fishmj.log.limits import bare, kinds_first
+from fishmj.log.limits import bare, kinds_first, typed
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import SCHEMA, Trial
 from fishmj.log.trial_check import PLAUSIBLE, read_bounds, relaxed_bounds, shipped_bounds
@@ -211,8 +211,9 @@ def _found(args: Namespace) -> ImportResult:
     known = args.format or (registry.published(args.source[0]) if len(args.source) == 1 and not args.columns else "")
     if known and known != TABLE:
         return _in_format(args.source, known, args)
-    skip = frozenset(name for name, (place, _, _) in overrides(args.set).items() if place == "skip")
-    cache = gather.FileCache(args.topics is not None, skip)
+    stated = overrides(args.set)
+    skip = frozenset(name for name, (place, _, _) in stated.items() if place == "skip")
+    cache = gather.FileCache(args.topics is not None, args.topics is None and bool(args.columns or known), skip)
     together = True if args.one_trial else False if args.trial_each else None
     found = ImportResult(TABLE)
     items, passed = gather.plan(args.source, cache, together=together)
@@ -226,13 +227,16 @@ def _found(args: Namespace) -> ImportResult:
             f"{args.source[0]}: --topics is for MCAP and rosbag2 recordings, and there is none; leave it out, or see --columns"
         )
     for item in mapped:
-        found.trials.append((item.name, partial(_mapped, item, args.topics)))
+        found.trials.append((item.name, partial(_mapped, item, args.topics, skip)))
     items = [item for item in items if item not in mapped]
     own = {item.files[0].resolve(): item.name for item in items if item.own}
     for item in items:
         if item.own:
             found.trials.append((item.name, partial(gather.read_own, item.files[0], own)))
     foreign = [item for item in items if not item.own and item.files]
+    if mapped and not foreign and (unused := next((name for name in stated if name not in skip), "")):
+        told = "read by its topics; --format table reads it by its columns, or write a mapping (--topics)"
+        raise LogError(f"{mapped[0].files[0]}: --set {typed(unused)}: no effect on a recording that is {told}")
     if args.columns:
         wanted = read_map(args.columns)
         found.maps.append(wanted)
@@ -315,9 +319,10 @@ def _line(message: str) -> str:
     return clean if len(clean) <= LONGEST else clean[: LONGEST - 3] + "..."
 
 
-def _mapped(item: gather.Item, topics: Path | None) -> Trial:
+def _mapped(item: gather.Item, topics: Path | None, skip: frozenset[str]) -> Trial:
     """Reads a recording by its mapping of topics."""
-    return replace(next(iter(importers.read(item.files[0], topics=topics).values())), name=item.name)
+    read = registry.FORMATS[registry.sniff(item.files[0])].read
+    return replace(next(iter(read(item.files[0], topics, skip).values())), name=item.name)
 
 
 def _convert(item: gather.Item, cache: gather.FileCache, wanted: ColumnMap) -> Trial:

@@ -13,6 +13,7 @@ import numpy as np
 from fishmj.base.errors import LogError
 from fishmj.log.limits import DAMAGE, bare, quoted
 
+NAMES = ("name", "names", "joint_names")  # keys of lists of names beside lists of values
 SEQUENCE = 4096  # longest array of a CDR message that is decoded; pictures and clouds are not
 
 
@@ -91,3 +92,35 @@ def _plain(message) -> dict:
     if hasattr(message, "__dataclass_fields__"):
         return {name: _plain(getattr(message, name)) for name in message.__dataclass_fields__ if not name.startswith("_")}
     return message
+
+
+def names_in(value: dict) -> list[str] | None:
+    """Joint names in a message beside lists of their values; None without any."""
+    for key in NAMES:
+        names = value.get(key)
+        if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
+            return names
+    return None
+
+
+def sec_nanosec(value: dict) -> int | None:
+    """Time in ns of an object {sec, nanosec}; None for any other."""
+    whole, part = value.get("sec", value.get("secs")), value.get("nanosec", value.get("nsecs", value.get("nsec")))
+    if type(whole) is int and type(part) is int and abs(whole) < 1e12 and 0 <= part < 10**9:
+        return whole * 10**9 + part
+    return None
+
+
+def own_stamp(content: dict) -> int | None:
+    """Stamp of a message's header, or beside its numbers, in ns; None if it is not set."""
+    beside = content.get("header")
+    for stamp in (beside.get("stamp") if isinstance(beside, dict) else None, content.get("stamp")):
+        if isinstance(stamp, dict):
+            return sec_nanosec(stamp)
+    return None
+
+
+def is_odd_stamp(content: dict) -> bool:
+    """Returns True for a stamp in a message's header that is a number or a text, so that its clock is not known."""
+    stamp = content.get("header", {}).get("stamp") if isinstance(content.get("header"), dict) else None
+    return isinstance(stamp, int | float | str) and bool(stamp)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fishmj.base import console, names
 from fishmj.base.errors import FishmjError, LogError, UsageError
-from fishmj.log.importers import delimited, guess, mcap, message_recordings, other_files, rosbag2, table_forms
+from fishmj.log.importers import delimited, guess, mcap, message_recordings, message_sheets, other_files, rosbag2, table_forms
 from fishmj.log.importers.binary_tables import NPZ, PARQUET, TORCH, read_parquet, read_tables
 from fishmj.log.importers.quaternion import with_headings
 from fishmj.log.importers.sheet import Sheet
@@ -45,7 +45,8 @@ class FileCache:
     """Reads every file once, and caches the result as far as memory allows."""
 
     topics: bool = False  # a mapping of topics was given: recordings need no sheets
-    skip: frozenset[str] = frozenset()  # names of files that the user leaves out
+    columns: bool = False  # recordings are read by their columns, whatever their topics are called
+    skip: frozenset[str] = frozenset()  # names of files, topics and columns that the user leaves out
     left: set[str] = field(default_factory=set)  # those of them that were found
     skipped: dict[str, str] = field(default_factory=dict)  # file -> why it was not read
     _kept: dict[Path, list[Sheet]] = field(default_factory=dict)
@@ -68,13 +69,13 @@ class FileCache:
 
     def mapped(self, path: Path) -> bool:
         """Returns True for a recording with a mapping: given, beside it, or by topics that are named like tables."""
-        if not is_recording(path):
+        if not is_recording(path) or self.columns:
             return False
         if self.topics or (path.is_file() and path.with_suffix(".toml").is_file()):
             return True
         if path not in self._mapped:
             found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
-            self._mapped[path] = bool(message_recordings.named_like_tables(found).tables)
+            self._mapped[path] = bool(message_recordings.named_like_tables(found, self.skip).tables)
         return self._mapped[path]
 
     def leaves(self, path: Path, notes: list[str]) -> bool:
@@ -112,7 +113,7 @@ def read_sheets(path: Path) -> list[Sheet]:
 def _read_sheets(path: Path) -> list[Sheet]:
     if is_recording(path):
         found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
-        return message_recordings.sheets(path, found, rosbag2.lost(path, found))
+        return message_sheets.sheets(path, found, rosbag2.lost(path, found))
     suffix = path.suffix.lower()
     text = suffix in delimited.SUFFIXES or not suffix
     regular(path)

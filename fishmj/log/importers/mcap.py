@@ -7,12 +7,13 @@ refused by name: convert them, or write the log as a trial folder. A chunk is un
 
 import io
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from fishmj.base.errors import LogError
 from fishmj.log.importers import message_recordings
 from fishmj.log.importers.decoding import Found, TopicChannel
+from fishmj.log.importers.message_sheets import listed
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
 from fishmj.log.trial import SCHEMA, Trial
@@ -32,8 +33,8 @@ def sniff(path: Path) -> bool:
         return path.suffix == SUFFIX or file.read(8) == MAGIC
 
 
-def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
-    """One trial, named after the file.
+def read(path: Path, topics: str | Path | None = None, skip: Collection[str] = ()) -> dict[str, Trial]:
+    """One trial, named after the file, without the topics in `skip`.
 
     Raises MissingExtra: the package mcap is not installed; LogError: damaged file, unknown topic or field, wrong values.
     """
@@ -42,13 +43,10 @@ def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
     own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
     if wanted is None:
-        wanted = message_recordings.named_like_tables(found)
+        wanted = message_recordings.named_like_tables(found, skip)
         if not wanted.tables:
-            raise LogError(
-                f"{path}: no topic is named like a table; it has {message_recordings.listed(found)}. "
-                f"Say which is which in {beside.name}"
-            )
-    return message_recordings.mapped(path, found, wanted, own)
+            raise LogError(f"{path}: no topic is named like a table; it has {listed(found)}. Say which is which in {beside.name}")
+    return message_recordings.mapped(path, found, wanted, own, skip=skip)
 
 
 def carried(path: Path) -> dict | None:

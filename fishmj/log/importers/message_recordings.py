@@ -1,110 +1,198 @@
-"""Recordings of messages (MCAP, rosbag2): a mapping turns topics into tables (`topics.py`); without one they become sheets."""
+"""Recordings of messages (MCAP, rosbag2) as tables, by a mapping of topics (`topics.py`) or by topics that are named like tables.
 
-import math
-import re
+Any other recording is read by its columns (`message_sheets.py`). Nothing of a recording without a mapping is left out in silence.
+"""
+
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fishmj.base.errors import LogError
-from fishmj.log.importers import header, table_forms
+from fishmj.base.errors import FishmjError, LogError
+from fishmj.log import toml
+from fishmj.log.importers import guess, message_sheets, table_forms
+from fishmj.log.importers.column_guess import LEFT
 from fishmj.log.importers.column_map import is_column
-from fishmj.log.importers.decoding import Found, TopicChannel, converted, decoder, read_json
-from fishmj.log.importers.joint_names import STATE, column_of
+from fishmj.log.importers.decoding import Found, TopicChannel, decoder, is_odd_stamp, names_in, own_stamp, read_json, sec_nanosec
+from fishmj.log.importers.message_sheets import DAY, FOREIGN, ODD, UNSTAMPED, listed
 from fishmj.log.importers.quaternion import heading
 from fishmj.log.importers.registry import trial_of
-from fishmj.log.importers.sheet import DATE, Sheet, checked
-from fishmj.log.importers.topics import UNITS, MessageField, Topic, Topics, by_name
-from fishmj.log.limits import quoted
+from fishmj.log.importers.topics import RECEIPT, UNITS, MessageField, Topic, Topics, by_name, table_of
+from fishmj.log.limits import bare, quoted, typed
 from fishmj.log.trial import Table, Trial, table_spec
 
-DAY = 86_400 * 10**9  # ns; stamps further apart than this are on different clocks
-DEPTH, WIDTH = 8, 64  # of a message that is spread over columns
-NAMES = ("name", "names", "joint_names")  # keys of lists of names beside lists of values
-NAMED = ("name", "joint_name", "child_frame_id", "id", "joint_id", "servo_id")  # keys of the name of one object in a list
-BESIDE = 2e6  # ns between the messages of one burst; a shift of 2 ms in a stamp is seen as damping
-OVERTAKEN, OVERTAKES = 3, 10**9  # messages at least, and ns at most, by which one publisher's stamps fall behind another's
 ABSENT = object()  # the value of a joint that a message does not name
-TRAJECTORY, PLANS = "trajectory_msgs/msg/JointTrajectory", "trajectories of several points"
-SINGLE = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # one number, which its topic names
-KEPT = {  # types that are spread over sheets without a mapping; any other standard type can be mapped
-    *("sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"),
-    *("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/Pose", "geometry_msgs/msg/Pose2D"),
-    *("geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/Vector3Stamped"),
-    "geometry_msgs/msg/TransformStamped",
-    *("geometry_msgs/msg/WrenchStamped", "geometry_msgs/msg/TwistStamped"),
-    *(TRAJECTORY, *SINGLE, "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray"),
-}
+HEADER = "header.stamp"  # the clock of a topic that is named like a table and whose headers have stamps
 
 
-# ---------------------------------------------------------------------------------------------------- with a mapping
-def mapped(path: Path, found: Found, wanted: Topics, own: dict | None = None, notes: Sequence[str] = ()) -> dict[str, Trial]:
+@dataclass
+class _Read:
+    """One table: stamps and receipts [ns], message of each row, columns, clock, notes, and what tells robots apart."""
+
+    stamps: list[int]
+    receipts: list[int]
+    at: list[int]
+    columns: Table
+    clock: str
+    notes: list[str]
+    apart: dict[str, str]
+
+    @property
+    def foreign(self) -> bool:
+        """True if the stamps of its headers are on another clock than the receipts."""
+        return self.clock == HEADER and abs(float(np.median(np.subtract(self.receipts, self.stamps)))) > DAY
+
+
+def mapped(
+    path: Path, found: Found, wanted: Topics, own: dict | None = None, notes: Sequence[str] = (), skip: Collection[str] = ()
+) -> dict[str, Trial]:
     """Reads one trial, named after the file.
 
     Args:
         own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
         notes: remarks of the file's reader.
+        skip: topics, and fields that tell robots apart, which the user leaves out, beside those of the mapping.
 
-    Raises LogError: a topic, field or value does not match the mapping; file:topic[message]:field.
+    Raises LogError: a topic, field or value does not match the mapping, or a topic is left out that may hold data of a table;
+    file:topic[message]:field.
     """
-    stamps, columns, told = {}, {}, []
+    skip, read = {*skip, *wanted.skip}, {}
+    told = _left_out(path, found, wanted, skip) if own is None and wanted.named else []
     for name, entry in wanted.tables.items():
         if entry.topic not in found:
             raise LogError(f"{path}: no topic {entry.topic!r} for table {name!r}; it has {listed(found)}")
-        stamps[name], columns[name], left_out, apart = _columns(path, entry, found[entry.topic])
-        if own is None and (several := next((said for c, said in apart.items() if c not in (entry.columns or ())), "")):
-            raise LogError(f"{path}:{entry.topic}: {several}")
-        told += left_out
+        read[name] = _columns(path, name, entry, found[entry.topic])
+        used = {*skip, *(entry.columns or ())}
+        several = next(((c, said) for c, said in read[name].apart.items() if c not in used), None)
+        if own is None and several:
+            at_top = f"skip = {toml.inline([several[0]])} at the top of the mapping of topics"
+            say = f"--set {typed(several[0])}=skip" if wanted.named else at_top
+            raise LogError(f"{path}:{entry.topic}: {several[1]}, or {say} to read them as one")
+    foreign = {name for name, one in read.items() if one.foreign}
+    for name in sorted(foreign) if foreign < set(read) else ():
+        told.append(f"{wanted.tables[name].topic}: {FOREIGN}")
+        read[name] = replace(read[name], stamps=read[name].receipts, clock=RECEIPT)
+    stamps = {name: one.stamps for name, one in read.items()}
     times, moved = _seconds(stamps) if own is None else ({name: np.array(ns, float) / 1e9 for name, ns in stamps.items()}, [])
     tables = {}
     for name, entry in wanted.tables.items():
-        order = np.argsort(times[name], kind="stable")
-        table = {"t": times[name][order], **{column: values[order] for column, values in columns[name].items()}}
-        tables[name] = (table, _place(path, entry.topic, order))
-    clocks = {name: str(entry.clock) for name, entry in wanted.tables.items()}
+        order, back = message_sheets.in_order(stamps[name])
+        table = {"t": times[name][order], **{column: values[order] for column, values in read[name].columns.items()}}
+        tables[name] = (table, _place(path, entry.topic, np.array(read[name].at)[order]))
+        told += [*read[name].notes, *([f"{entry.topic}: {back}"] if back else [])]
+    clocks = {name: one.clock for name, one in read.items()}
     meta = {"clock": clocks, "source": path.name, **wanted.meta} if own is None else own
     return {path.stem: trial_of(path.stem, meta, tables, [*notes, *moved, *told])}
 
 
-def named_like_tables(found: Found) -> Topics:
+def named_like_tables(found: Found, skip: Collection[str] = ()) -> Topics:
     """Mapping of JSON topics that are named like tables and whose first message has columns of that table."""
-    wanted = by_name({topic for topic, channel in found.items() if channel.encoding == "json" and channel.messages})
-    first = {topic: read_json(topic, found[topic].messages[0][2]) for topic in {entry.topic for entry in wanted.tables.values()}}
-    return Topics({n: e for n, e in wanted.tables.items() if any(is_column(table_spec(n), key) for key in first[e.topic])})
+    return by_name({topic for topic, channel in found.items() if topic not in skip and _is_table(topic, channel)})
 
 
-def listed(found: Found) -> str:
-    """Names of the topics for a message, sorted and shortened; `none` without any."""
-    return ", ".join(map(repr, sorted(found)))[:300] or "none"
+def _is_table(topic: str, channel: TopicChannel) -> bool:
+    if channel.encoding != "json" or not channel.messages or not (name := table_of(topic)):
+        return False
+    return any(is_column(table_spec(name), key) for key in read_json(topic, channel.messages[0][2]))
 
 
-def _place(path: Path, topic: str, order: np.ndarray):
-    return lambda row, column: f"{path}:{topic}[{order[row] if 0 <= row < len(order) else 0}]:{column or 't'}"
+def _left_out(path: Path, found: Found, wanted: Topics, skip: Collection[str]) -> list[str]:
+    """A note for each topic that is not read beside those that are named like tables.
+
+    Raises LogError: one of them may hold data of a table.
+    """
+    used = {entry.topic for entry in wanted.tables.values()}
+    notes, needed = [], {}
+    for topic in sorted(set(found) - used):
+        if topic in skip:
+            notes.append(f"{topic}: left out, as --set says")
+            continue
+        if _is_table(topic, found[topic]):
+            needed[topic] = f"is named like table {table_of(topic)}, too"
+            continue
+        try:
+            sheets, told = message_sheets.readable(path, {topic: found[topic]})
+            made = guess.guess(guess.kinds(map(table_forms.looked_at, sheets)))
+        except FishmjError as error:
+            needed[topic] = f"cannot be read ({bare(error, 200)})"
+            continue
+        notes += told
+        may = next((g for g in made if g.state != LEFT and g.table not in ("", "t")), None)
+        if may is not None:
+            needed[topic] = f"may hold {' or '.join(may.places[:2])} ({bare(may.column)})"
+        elif sheets:
+            names = ", ".join(bare(g.column) for g in made if g.place != "t")[:200]
+            notes.append(f"{topic}: not read, beside topics that are named like tables: {names}")
+    if needed:
+        why = "; ".join(f"{topic} {what}" for topic, what in list(needed.items())[:4])
+        raise LogError(
+            f"{path}: only topics that are named like tables are read ({', '.join(sorted(used))}), but {why}: leave it out, "
+            f"--set {typed(next(iter(needed)))}=skip; or read all by columns, --format table; or map topics, --topics MAP.toml"
+        )
+    return notes
 
 
-def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int], Table, list[str], dict[str, str]]:
-    """Stamps [ns], columns, notes and what tells robots apart. A message that names only other joints is left out."""
+def _place(path: Path, topic: str, at: np.ndarray):
+    return lambda row, column: f"{path}:{topic}[{at[row] if 0 <= row < len(at) else 0}]:{column or 't'}"
+
+
+def _numbers(
+    path: Path, table: str, topic: str, channel: TopicChannel
+) -> tuple[dict[str, MessageField], str | MessageField, list[str]]:
+    """Fields that are numbers in each message of a topic without a mapping, the clock of its stamps, and notes on the others.
+
+    Raises LogError: a column of the table is no number in some message.
+    """
+    decode, spec, n = decoder(path, topic, channel), table_spec(table), len(channel.messages)
+    count, texts, bad, stamped, timed = Counter[str](), set[str](), dict[str, tuple[int, Any]](), 0, False
+    odd = 0
+    for i in range(n):
+        content = decode(i)
+        stamped += bool(own_stamp(content))
+        odd += is_odd_stamp(content)
+        timed |= "t" in content
+        texts |= table_forms.labels(content).keys()
+        for key in {**count, **content}:
+            known = isinstance(content.get(key), bool | int | float)
+            count[key] += known
+            if not known or count[key] <= i:  # or it was absent before
+                bad.setdefault(key, (i, content.get(key)) if not known else (0, None))
+    fields, lost = {key: MessageField((key,)) for key in count if key not in bad and key != "t"}, []
+    for key, (at, got) in bad.items():
+        if is_column(spec, key) or key in spec.fixed:
+            raise LogError(
+                f"{path}:{topic}[{at}]:{key} = {str(got)[:30]}; expected a finite number in each message, as in {count[key]} "
+                f"of {n}. Leave the column out by a mapping of topics (--topics MAP.toml), or the messages by --format table"
+            )
+        lost += [key] if key not in texts and key not in ("header", "stamp") else []
+    notes = [f"{topic}: {', '.join(map(quoted, lost))[:200]} left out: no number in each message"] if lost else []
+    if timed:
+        return fields, MessageField(("t",), "s"), notes
+    if stamped == n:
+        return {key: f for key, f in fields.items() if key != "stamp"}, HEADER, notes
+    seen = {UNSTAMPED: n - stamped if stamped else 0, ODD: odd}
+    notes += [f"{topic}: {why}, in {of} of {n} messages" for why, of in seen.items() if of]
+    return fields, RECEIPT, notes
+
+
+def _columns(path: Path, table: str, entry: Topic, channel: TopicChannel) -> _Read:
+    """One table of a topic. A message that names only other joints is left out."""
     if not channel.messages:
         raise LogError(f"{path}: topic {entry.topic!r} has no message; leave its table out")
     decode = decoder(path, entry.topic, channel)
-    first = decode(0)
-    texts = {key for key in table_forms.labels(first) if isinstance(first.get(key), str)}
-    fields = entry.columns or {key: MessageField((key,)) for key in first if key != "t" and key not in texts}
-    clock = entry.clock
-    if entry.columns is None and clock == "log_time" and "t" in first:
-        clock = MessageField(("t",), "s")
-    stamps, rows, joints, others, labels = [], [], {}, 0, []
+    fields, clock, notes = entry.columns, entry.clock or RECEIPT, []
+    if fields is None:
+        fields, own, notes = _numbers(path, table, entry.topic, channel)
+        clock = entry.clock or own
+    stamps, receipts, at, rows, joints, labels = [], [], [], [], {}, []
     for i, (log_time, publish_time, _) in enumerate(channel.messages):
         where, content = f"{path}:{entry.topic}[{i}]", decode(i)
         labels.append(table_forms.labels(content))
         found = [_dig(where, content, f) for f in fields.values()]
         if any(value is ABSENT for value, _ in found):
-            others += 1
             continue
         for f, (_, joint) in zip(fields.values(), found, strict=True):
             if joints.setdefault(f, joint) != joint:
@@ -115,18 +203,19 @@ def _columns(path: Path, entry: Topic, channel: TopicChannel) -> tuple[list[int]
         if isinstance(clock, MessageField):
             stamps.append(_stamp(f"{where}:{clock}", clock, _dig(where, content, clock)[0]))
         else:
-            stamps.append(log_time if clock == "log_time" else publish_time)
+            stamps.append(own_stamp(content) or 0 if clock == HEADER else log_time if clock == RECEIPT else publish_time)
+        receipts.append(log_time)
+        at.append(i)
         rows.append([_number(f"{where}:{f}", value) * f.factor for f, (value, _) in zip(fields.values(), found, strict=True)])
     if not rows:
-        names = ", ".join(map(quoted, _names(first) or ()))
+        names = ", ".join(map(quoted, names_in(decode(0)) or ()))
         raise LogError(f"{path}: no message of topic {entry.topic!r} names all joints of the mapping; the first has {names}")
-    notes = (
-        [f"{entry.topic}: {others} of {len(channel.messages)} messages left out: not all of its joints are named"]
-        if others
-        else []
-    )
+    n = len(channel.messages)
+    if len(rows) < n:
+        notes.append(f"{entry.topic}: {n - len(rows)} of {n} messages left out: not all of its joints are named")
     values = np.array(rows, float).reshape(len(rows), len(fields)).T.copy()
-    return stamps, dict(zip(fields, values, strict=True)), notes, table_forms.told_apart(labels)
+    columns = dict(zip(fields, values, strict=True))
+    return _Read(stamps, receipts, at, columns, str(clock), notes, table_forms.told_apart(labels))
 
 
 def _dig(where: str, content, wanted: MessageField) -> tuple[Any, str]:
@@ -137,7 +226,7 @@ def _dig(where: str, content, wanted: MessageField) -> tuple[Any, str]:
     value, names, joint = content, None, ""
     for k, part in enumerate(wanted.path):
         if isinstance(value, dict):
-            names = _names(value) or names
+            names = names_in(value) or names
         if isinstance(value, dict) and part in value:
             value = value[part]
         elif isinstance(value, dict) and part == "yaw" and set(value) == set("xyzw"):
@@ -166,15 +255,6 @@ def _yaw(where: str, value: dict) -> float:
     return float(yaw[0])
 
 
-def _names(value: dict) -> list[str] | None:
-    """Joint names in a message beside lists of their values; None without any."""
-    for key in NAMES:
-        names = value.get(key)
-        if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
-            return names
-    return None
-
-
 def _number(where: str, value) -> float:
     if not isinstance(value, bool | int | float) or not abs(value) < 1e300:
         raise LogError(f"{where} = {str(value)[:30]!r}; expected a finite number. Leave the message out")
@@ -184,7 +264,7 @@ def _number(where: str, value) -> float:
 def _stamp(where: str, clock: MessageField, value) -> int:
     """Time of a field in ns: a number in the clock's unit (s by default), or an object {sec, nanosec}."""
     if isinstance(value, dict):
-        if (whole := _sec_nanosec(value)) is not None:
+        if (whole := sec_nanosec(value)) is not None:
             return whole
         raise LogError(f"{where} = {str(value)[:60]}; expected {{sec, nanosec}} or a number")
     number = _number(where, value)
@@ -192,13 +272,6 @@ def _stamp(where: str, clock: MessageField, value) -> int:
     if not abs(number) < 1e30:
         raise LogError(f"{where} = {str(value)[:30]!r}; expected a time in {clock.unit or 's'}")
     return round(scaled)
-
-
-def _sec_nanosec(value: dict) -> int | None:
-    whole, part = value.get("sec", value.get("secs")), value.get("nanosec", value.get("nsecs", value.get("nsec")))
-    if type(whole) is int and type(part) is int and abs(whole) < 1e12 and 0 <= part < 10**9:
-        return whole * 10**9 + part
-    return None
 
 
 def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[str]]:
@@ -214,286 +287,3 @@ def _seconds(stamps: dict[str, list[int]]) -> tuple[dict[str, np.ndarray], list[
             notes.append(f"{name}: its clock is {(zero - own) / 1e9:.0f} s away from the others; it starts at its own zero")
         out[name] = np.array([value - own for value in values], dtype=float) * 1e-9
     return out, notes
-
-
-# -------------------------------------------------------------------------------------------------------- as sheets
-def sheets(path: Path, found: Found, notes: Sequence[str] = ()) -> list[Sheet]:
-    """Sheets of all topics whose messages hold numbers, spread over columns: `pose.position.x`; stamps as s since 1970.
-
-    Raises LogError: no such topic, or a message that does not decode.
-    """
-    rows: dict[str, _Rows] = {}
-    notes = list(notes)
-    for topic, channel in sorted(found.items()):
-        if not channel.messages:
-            continue
-        if channel.encoding not in ("json", "cdr"):
-            notes.append(f"{topic}: messages encoded as {quoted(channel.encoding)} are not read; {converted(channel.encoding)}")
-            continue
-        if channel.encoding != "json" and channel.type not in KEPT:
-            notes.append(f"{topic}: messages of {quoted(channel.type or channel.encoding)} need a mapping (--topics); left out")
-            continue
-        if (read := _rows(path, topic, channel)) is not None:
-            rows[topic] = read
-        else:
-            notes.append(f"{topic}: no number in its {len(channel.messages)} messages; left out")
-    if not rows:
-        text = f" ({'; '.join(notes)[:300]})" if notes else ""
-        raise LogError(f"{path}: no topic with numbers; it has {listed(found)}{text}")
-    foreign = {topic for topic, read in rows.items() if abs(read.ahead) > DAY}
-    for topic in sorted(foreign) if foreign < set(rows) else ():
-        notes.append(f"{topic}: the stamps of its headers are on another clock; stamped by its receipt, as other topics are")
-        rows[topic].stamps = rows[topic].receipts
-    rows = _together(rows, {topic: found[topic].type for topic in rows})
-    out = [read.sheet(path, topic, found[topic].type if topic in found else "") for topic, read in rows.items()]
-    return [out[0].noted(*notes), *out[1:]]
-
-
-@dataclass
-class _Rows:
-    """Messages of one topic as rows: their stamps [ns] by header or receipt, and the numbers of each."""
-
-    receipts: list[int]
-    stamps: list[int]
-    values: list[dict[str, float]]
-    notes: Counter[str]
-    apart: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def ahead(self) -> float:
-        """Median time from a message's stamp to its receipt [ns]."""
-        return float(np.median([receipt - stamp for receipt, stamp in zip(self.receipts, self.stamps, strict=True)]))
-
-    def sheet(self, path: Path, topic: str, kind: str) -> Sheet:
-        """The rows as columns; messages of one instant with different fields form one row."""
-        stamps: list[int] = []
-        rows: list[dict[str, float]] = []
-        for stamp, row in self._in_order():
-            if stamps and stamps[-1] == stamp and rows[-1].keys().isdisjoint(row):
-                rows[-1] |= row
-            else:
-                stamps.append(stamp)
-                rows.append(dict(row))
-        columns = {key: np.array([row.get(key, math.nan) for row in rows], float) for key in dict.fromkeys(chain(*rows))}
-        units = dict(_UNITS.get(kind, {}))
-        if kind.startswith("sensor_msgs/") and kind.endswith("/JointState"):
-            units |= {f"joint.{key}": "rad" for key in _joints_of(columns)}
-            units |= {f"joint.{key}.velocity": "rad/s" for key in _joints_of(columns)}
-        units |= {key: "rad" for key in columns if kind == TRAJECTORY}
-        if not any(header.parse(key).words in (("t",), ("time",), ("timestamp",)) for key in columns):
-            columns = {"stamp": np.array(stamps, float) * 1e-9, **columns}
-            units["stamp"] = DATE
-        units = {key: unit for key, unit in units.items() if key in columns}
-        told = tuple(f"{topic}: {note}, in {n} of {len(self.values)} messages" for note, n in self.notes.items() if n)
-        columns |= {key: np.full(len(stamps), math.nan) for key in self.apart if key not in columns}
-        doubts = _unnamed(columns) | self._planned(columns)
-        return checked(Sheet(path, topic, columns, units, notes=told, doubts=doubts, apart=self.apart))
-
-    def _planned(self, columns: Iterable[str]) -> dict[str, str]:
-        """Doubts about trajectories of several points."""
-        why = "trajectories of several points, of which this is the first: map none of them, or publish one point a message"
-        return dict.fromkeys((key for key in columns if key.startswith("command.")), why) if self.notes[PLANS] else {}
-
-    def _in_order(self) -> list[tuple[int, dict[str, float]]]:
-        """Stamps and values; sorted if publishers overtake one another, unchanged if the clock was set back once."""
-        pairs = list(zip(self.stamps, self.values, strict=True))
-        back = [a - b for a, b in pairwise(self.stamps) if a > b]
-        if len(back) >= OVERTAKEN and max(back) < OVERTAKES:
-            self.notes["stamped before a message that came earlier, sorted by stamp"] = len(back)
-            pairs.sort(key=lambda pair: pair[0])
-        return pairs
-
-
-def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
-    """Messages of a topic as rows; None if they hold no number."""
-    decode = decoder(path, topic, channel)
-    out, keys = _Rows([], [], [], Counter()), set()
-    own, labels = [], []
-    for i, (log_time, _, _) in enumerate(channel.messages):
-        where, content = f"{path}:{topic}[{i}]", decode(i)
-        own.append(_own_stamp(content))
-        labels.append(table_forms.labels(content))
-        if channel.type == TRAJECTORY:
-            row = _trajectory(where, content, out.notes)
-        else:
-            row = _joints(where, content, out.notes) if _is_joint_state(content) else _TYPED.get(channel.type, _flat)(content)
-        keys |= row.keys()
-        if len(keys) > WIDTH * WIDTH:
-            raise LogError(f"{where}: over {WIDTH * WIDTH} different fields; map the ones you need with --topics")
-        out.receipts.append(log_time)
-        out.values.append(row)
-    if any(own) and not all(own):
-        out.notes["no stamp in its header, so that all are stamped by their receipt"] = sum(not stamp for stamp in own)
-    out.stamps = [stamp for stamp in own if stamp] if all(own) else out.receipts
-    out.apart = table_forms.told_apart(labels)
-    return out if keys else None
-
-
-def _together(rows: dict[str, _Rows], kinds: dict[str, str]) -> dict[str, _Rows]:
-    """The topics, with those of one number a joint (`/joint1/command`, `/joint2/command`), sent side by side, joined."""
-    groups: dict[str, list[str]] = {}
-    for topic, kind in kinds.items():
-        said = header.words(topic)
-        if kind in SINGLE and not (header.SERVO | header.JOINT).isdisjoint(said):
-            rows[topic].values = [{" ".join(said): value for value in row.values()} for row in rows[topic].values]
-            groups.setdefault(re.sub(r"\d+", "#", topic), []).append(topic)
-    out = dict(rows)
-    for name, topics in groups.items():
-        sent = sorted(
-            (s, t, v) for t in topics for s, row in zip(rows[t].stamps, rows[t].values, strict=True) for v in row.items()
-        )
-        period = float(np.median(np.diff(rows[topics[0]].stamps))) if len(rows[topics[0]].stamps) > 1 else 0.0
-        bursts: list[dict[str, tuple[int, str, tuple]]] = []
-        for one in sent:
-            if not bursts or one[1] in bursts[-1] or one[0] - next(iter(bursts[-1].values()))[0] > min(period / 2, BESIDE):
-                bursts.append({})
-            bursts[-1][one[1]] = one
-        whole = [burst for burst in bursts if len(burst) == len(topics)]
-        if len(topics) > 1 and len(whole) >= max(2, 0.99 * len(bursts)):
-            last = [max(one[0] for one in burst.values()) for burst in whole]
-            values = [dict(one[2] for one in burst.values()) for burst in whole]
-            notes = Counter({f"messages of {', '.join(topics)} are one row, stamped by the last": len(whole)})
-            out = {topic: read for topic, read in out.items() if topic not in topics} | {name: _Rows(last, last, values, notes)}
-    return out
-
-
-def _joints_of(columns: Iterable[str]) -> list[str]:
-    """Names of the joints in the columns of a JointState."""
-    ends = tuple(end for end in STATE.values() if end)
-    return [key.removeprefix("joint.") for key in columns if key.startswith("joint.") and not key.endswith(ends)]
-
-
-def _unnamed(columns: Iterable[str]) -> dict[str, str]:
-    """Doubts about joints identified by position, in a topic whose other messages name theirs."""
-    joints = _joints_of(columns)
-    placed = [name for name in joints if name.isdecimal()]
-    why = "messages without names beside messages that name their joints: which joint is it?"
-    return {f"joint.{name}": why for name in placed} if len(placed) < len(joints) else {}
-
-
-def _own_stamp(content: dict) -> int | None:
-    """Stamp of a message's header in ns, None if it is not set."""
-    stamp = content.get("header", {}).get("stamp") if isinstance(content.get("header"), dict) else content.get("stamp")
-    return _sec_nanosec(stamp) if isinstance(stamp, dict) else None
-
-
-def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = None) -> dict[str, float]:
-    """Numbers by their path; a list beside a list of equally many names by these names."""
-    out: dict[str, float] = {}
-    if depth > DEPTH:
-        return out
-    if isinstance(value, dict):
-        names = _names(value) or names
-        for key, item in list(value.items())[: WIDTH * 4]:
-            if key not in ("header", "stamp", "covariance"):
-                out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1, names)
-    elif isinstance(value, list):
-        names = names if names and len(names) == len(value) else _names_of(value)
-        keys = names or range(len(value))
-        for key, item in list(zip(keys, value, strict=True))[:WIDTH]:
-            out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1)
-    elif isinstance(value, bool | int | float) and abs(value) < 1e300:
-        out[prefix or "value"] = float(value)
-    return out
-
-
-def _names_of(items: list) -> list[str]:
-    """Names of the objects in a list, if all have different names; else none."""
-    for key in NAMED:
-        named = [item[key] for item in items if isinstance(item, dict) and type(item.get(key)) in (str, int)]
-        names = list(map(str, named))
-        if len(names) == len(items) == len(set(names)):
-            return names
-    return []
-
-
-def _is_joint_state(content: dict) -> bool:
-    """Returns True for a message of names beside positions, velocities or efforts, in any encoding."""
-    return isinstance(content.get("name"), list) and any(isinstance(content.get(key), list) for key in STATE)
-
-
-def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
-    """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by position if it has none.
-
-    Raises LogError: a name appears twice, or there are positions for some of the names only.
-    """
-    names = _names(content) or []
-    if len(set(names)) < len(names):
-        raise LogError(f"{where}: joint {quoted(max(names, key=names.count))} is named twice; record it again")
-    out = {}
-    for key in STATE:
-        values = content.get(key)
-        if not isinstance(values, list) or not values:
-            continue
-        if names and len(values) != len(names):
-            if key == "position":
-                raise LogError(f"{where}: {len(values)} positions for {len(names)} names: which joint is which? Record it again")
-            notes[f"{key} not read, its list is not as long as that of the names"] += 1
-            continue
-        for name, value in zip(names or map(str, range(1, len(values) + 1)), values, strict=True):
-            if isinstance(value, int | float) and abs(value) < 1e300:
-                out[column_of(name[:80], key)] = float(value)
-    return out
-
-
-def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
-    """Columns `command.NAME` by the message's own names: the angles of its first point.
-
-    Raises LogError: there are angles for some of the names only.
-    """
-    names, points = _names(content) or [], content.get("points") or [{}]
-    values = points[0].get("positions") or []
-    if len(values) != len(names) or len(set(names)) < len(names):
-        raise LogError(f"{where}: {len(values)} positions for the names {', '.join(map(quoted, names))}; record it again")
-    notes[PLANS] += len(points) > 1
-    return {f"command.{name[:80]}": float(value) for name, value in zip(names, values, strict=True)}
-
-
-def _battery(content: dict) -> dict[str, float]:
-    """Battery values with the current that the robot draws, as in the log; ROS counts current into the battery."""
-    voltage, current = (content.get(key) for key in ("voltage", "current"))
-    out = {"voltage": float(voltage)} if isinstance(voltage, int | float) else {}
-    return out | ({"current_drawn": -float(current)} if isinstance(current, int | float) and math.isfinite(current) else {})
-
-
-def _odometry(content: dict) -> dict[str, float]:
-    """Pose in its frame, twist in the body's."""
-    pose, twist = (_flat(content.get(key, {})) for key in ("pose", "twist"))
-    named = {"twist.linear.x": "surge", "twist.linear.y": "sway", "twist.angular.z": "yaw_rate"}
-    return {f"pose.{key}": value for key, value in pose.items()} | {
-        ours: twist[key] for key, ours in named.items() if key in twist
-    }
-
-
-def _imu(content: dict) -> dict[str, float]:
-    out = {}
-    for ours, theirs in (("acc", "linear_acceleration"), ("gyro", "angular_velocity")):
-        out |= {f"{ours}.{axis}": value for axis, value in _flat(content.get(theirs, {})).items() if axis in ("x", "y", "z")}
-    return out
-
-
-def _array(content: dict) -> dict[str, float]:
-    values = content.get("data")
-    return {f"value.{i}": float(v) for i, v in enumerate(values[:WIDTH] if isinstance(values, list) else (), start=1)}
-
-
-_TYPED: dict[str, Callable[[dict], dict[str, float]]] = {
-    "sensor_msgs/msg/BatteryState": _battery,
-    "sensor_msgs/msg/Imu": _imu,
-    "nav_msgs/msg/Odometry": _odometry,
-    "std_msgs/msg/Float64MultiArray": _array,
-    "std_msgs/msg/Float32MultiArray": _array,
-}
-_PLACES = ("pose.position.", "pose.pose.position.", "transform.translation.")
-_SPACE = {f"{p}{axis}": "m" for p in (*_PLACES, "position.", "point.") for axis in "xyz"}
-_UNITS: dict[str, dict[str, str]] = {  # ROS's own: REP 103
-    "sensor_msgs/msg/BatteryState": {"voltage": "V", "current_drawn": "A"},
-    "sensor_msgs/msg/Imu": {f"{k}.{axis}": unit for axis in "xyz" for k, unit in (("acc", "m/s^2"), ("gyro", "rad/s"))},
-    "nav_msgs/msg/Odometry": {**_SPACE, "surge": "m/s", "sway": "m/s", "yaw_rate": "rad/s"},
-    "geometry_msgs/msg/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
-    "geometry_msgs/msg/Pose": _SPACE,
-    "geometry_msgs/msg/PoseStamped": _SPACE,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _SPACE,
-    "geometry_msgs/msg/PointStamped": _SPACE,
-    "geometry_msgs/msg/TransformStamped": _SPACE,
-}

@@ -9,9 +9,10 @@ import io
 import re
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
@@ -19,6 +20,7 @@ from typing import BinaryIO
 from fishmj.base.errors import LogError
 from fishmj.log.importers import mcap, message_recordings
 from fishmj.log.importers.decoding import Found, TopicChannel
+from fishmj.log.importers.message_sheets import OVERTAKES, listed
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, quoted, regular
 from fishmj.log.trial import Trial
@@ -42,19 +44,18 @@ def sniff(path: Path) -> bool:
     return bool(files) and ((path / METADATA).is_file() or _is_split(files))
 
 
-def read(path: Path, topics: str | Path | None = None) -> dict[str, Trial]:
-    """Reads one trial, named after the bag, by a topic mapping or by topics named like tables.
+def read(path: Path, topics: str | Path | None = None, skip: Collection[str] = ()) -> dict[str, Trial]:
+    """Reads one trial, named after the bag, by a topic mapping or by topics named like tables, without those in `skip`.
 
     Raises LogError: damaged, no such topic, or values that do not match the mapping. MissingExtra: rosbags is absent.
     """
     wanted = read_topics(topics) if topics else None
-    found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
-    wanted = wanted or message_recordings.named_like_tables(found)
+    needed = {entry.topic for entry in wanted.tables.values()} if wanted else None
+    found = channels(path, needed)
+    wanted = wanted or message_recordings.named_like_tables(found, skip)
     if not wanted.tables:
-        raise LogError(
-            f"{path}: no topic is named like a table; it has {message_recordings.listed(found)}. Say which is which with --topics"
-        )
-    return message_recordings.mapped(path, found, wanted, notes=lost(path, found))
+        raise LogError(f"{path}: no topic is named like a table; it has {listed(found)}. Say which is which with --topics")
+    return message_recordings.mapped(path, found, wanted, notes=lost(path, found, needed), skip=skip)
 
 
 def channels(path: Path, needed: set[str] | None = None) -> Found:
@@ -80,20 +81,26 @@ def channels(path: Path, needed: set[str] | None = None) -> Found:
             there.messages += channel.messages
     if not found:
         raise LogError(f"{path}: no messages")
-    for channel in found.values():
+    for topic, channel in found.items():
+        back = [(a[0] - b[0], i) for i, (a, b) in enumerate(pairwise(channel.messages), 1) if a[0] - b[0] >= OVERTAKES]
+        if back:
+            raise LogError(
+                f"{path}:{topic}[{back[0][1]}]: received {back[0][0] / 1e9:.6g} s before the message in front of it; expected "
+                "receipts that rise: the clock was set back. Split the bag there"
+            )
         channel.messages.sort(key=lambda message: message[0])
     return found
 
 
-def lost(path: Path, found: Found) -> list[str]:
-    """A note for each topic with fewer messages than metadata.yaml counts, and for one part of several."""
+def lost(path: Path, found: Found, needed: set[str] | None = None) -> list[str]:
+    """A note for each topic in `needed` (all if None) of fewer messages than metadata.yaml has, and for one part of several."""
     out = []
     if path.is_file() and (path.parent / METADATA).is_file() and len(files := _files(path.parent)) > 1:
         out.append(f"{path.name}: one of {len(files)} files of a bag; import the folder {path.parent.name} for all of it")
     for entry in _metadata(path).get("topics_with_message_count") or ():
         topic, count = entry["topic_metadata"]["name"], entry["message_count"]
         have = len(found[topic].messages) if topic in found else 0
-        if topic in found and isinstance(count, int) and count > have:
+        if (needed is None or topic in needed) and isinstance(count, int) and count > have:
             out.append(f"{topic}: metadata.yaml counts {count} messages, the bag holds {have}: is it cut off?")
     return out
 

@@ -14,7 +14,8 @@
     t = { field = "header.stamp", unit = "ns" }
     columns = { x = "pose.x", y = "pose.y", yaw = { field = "heading", unit = "deg" } }
 
-A field is a path of keys and list indices with dots between. Only units that are stated here are converted.
+A field is a path of keys and list indices with dots between. Only units that are stated here are converted. `skip = ["fish_id"]`
+at the top reads messages as one robot's whatever this field says.
 """
 
 import re
@@ -27,7 +28,8 @@ from fishmj.log.importers import column_units
 from fishmj.log.table_files import read_text
 from fishmj.log.trial import TABLES
 
-CLOCKS = ("log_time", "publish_time")
+RECEIPT = "log_time"
+CLOCKS = (RECEIPT, "publish_time")
 _KNOWN = "rad rad/s m m/s s V A Hz m/s^2 deg deg/s rpm g mm cm mm/s cm/s ms us ns mV mA".split()
 UNITS = {"": 1.0} | {unit: column_units.UNITS[unit][1] for unit in _KNOWN}  # unit -> factor to the schema's
 
@@ -50,24 +52,32 @@ class MessageField:
 
 @dataclass(frozen=True)
 class Topic:
-    """One table: its topic, the clock of its stamps ("log_time", "publish_time" or a field), its columns (None: all keys)."""
+    """One table: its topic, the clock of its stamps (`CLOCKS` or a field; "" for its own), its columns (None: all numbers)."""
 
     topic: str
-    clock: str | MessageField = "log_time"
+    clock: str | MessageField = ""
     columns: dict[str, MessageField] | None = None
 
 
 @dataclass(frozen=True)
 class Topics:
-    """The whole mapping, and the meta data to write."""
+    """The whole mapping, the meta data to write, and fields that are left out; `named`: by the topics' names alone."""
 
     tables: dict[str, Topic]
     meta: dict = field(default_factory=dict)
+    skip: tuple[str, ...] = ()
+    named: bool = False
+
+
+def table_of(topic: str) -> str:
+    """Name of the table that a topic is named like; "" for none."""
+    name = topic.rsplit("/", 1)[-1]
+    return name if name in TABLES else ""
 
 
 def by_name(topics: set[str]) -> Topics:
     """Mapping without a TOML: a topic that ends in a table's name is that table, and its keys are the columns."""
-    return Topics({name: Topic(topic) for topic in sorted(topics) for name in [topic.rsplit("/", 1)[-1]] if name in TABLES})
+    return Topics({name: Topic(topic) for topic in sorted(topics) if (name := table_of(topic))}, named=True)
 
 
 def read_topics(path: str | Path) -> Topics:
@@ -79,12 +89,15 @@ def read_topics(path: str | Path) -> Topics:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         text = str(error).removeprefix(f"{path}: ")
         raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: {text}") from error
-    unknown = sorted(set(spec) - {"tables", "meta"})
+    unknown = sorted(set(spec) - {"tables", "meta", "skip"})
     tables, meta = spec.get("tables"), spec.get("meta", {})
     if unknown or not isinstance(tables, dict) or not tables or not isinstance(meta, dict):
         text = f"key {unknown[0]!r} is not known" if unknown else "no [tables.<name>]"
-        raise LogError(f"{path}: {text}; expected [meta] and one [tables.<name>] each for some of {', '.join(TABLES)}")
-    return Topics({name: _topic(path, name, entry) for name, entry in tables.items()}, meta)
+        raise LogError(f"{path}: {text}; expected skip, [meta] and one [tables.<name>] each for some of {', '.join(TABLES)}")
+    skip = spec.get("skip", [])
+    if not isinstance(skip, list) or not all(isinstance(name, str) for name in skip):
+        raise LogError(f'{path}: skip = {str(skip)[:60]!r}; expected names of fields, such as ["fish_id"]')
+    return Topics({name: _topic(path, name, entry) for name, entry in tables.items()}, meta, tuple(skip))
 
 
 def _topic(path: Path, name: str, entry) -> Topic:
@@ -95,13 +108,13 @@ def _topic(path: Path, name: str, entry) -> Topic:
         raise LogError(f'{where}: topic is missing; write topic = "/name/of/the/topic"')
     if extra := sorted(set(entry) - {"topic", "t", "columns"}):
         raise LogError(f"{where}: key {extra[0]!r} is not known; expected topic, t, columns")
-    clock = entry.get("t", "log_time")
     columns = entry.get("columns")
+    clock = entry.get("t", "" if columns is None else RECEIPT)
     if columns is not None and (not isinstance(columns, dict) or not columns or "t" in columns):
         raise LogError(f'{where}: columns must be a table such as {{ x = "pose.x" }}; the stamp goes into t')
     return Topic(
         entry["topic"],
-        clock if clock in CLOCKS else _field(where, "t", clock),
+        clock if "t" not in entry or clock in CLOCKS else _field(where, "t", clock),
         None if columns is None else {column: _field(where, column, value) for column, value in columns.items()},
     )
 
