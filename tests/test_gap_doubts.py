@@ -26,15 +26,15 @@ def terminal_and_page(v: Verdict) -> tuple[str, str]:
 @pytest.mark.parametrize("answer", ["CLASS", "UNEXPLAINED"])
 def test_effect_that_does_not_lead_is_said_not_to(answer):
     for text in terminal_and_page(found(answer, 0.20)):
-        assert "ot the likeliest: steady current wins 0.61 of the redraws, this one 0.20" in text
+        assert "ot the likeliest: steady current wins 0.61 of the bootstrap draws, this one 0.20" in text
     for text in terminal_and_page(found(answer, 0.9)):
-        assert "likeliest" not in text and "not told" not in text
+        assert "likeliest" not in text and "distinguishable" not in text
 
 
 def test_size_whose_interval_holds_none_is_said_to():
     doubtful = {"shear": Value(0.02, "1/s", -0.01, 0.05), "delay": Value(0.3, "s", 0.2, 0.4)}
     for text in terminal_and_page(found("CLASS", 0.9, doubtful)):
-        assert "ot told from none: its interval holds 0" in text
+        assert "ot distinguishable from zero: its interval contains 0" in text
     one_axis = {"x": Value(0.14, "m/s", 0.1, 0.2), "y": Value(0.0, "m/s", -0.1, 0.1)}
     assert untold(one_axis) == "" and untold({}) == ""
 

@@ -4,11 +4,11 @@
     S     = null of that experiment + sum_k s_k^2 t_k t_k^T (parameters k of both, within their uncertainty) + form error
     sigma = |z|
 
-Differences that the constants of the fish or another value of either explanation could compensate do not count, so |z| is the
+S includes differences that the fish's constants, or other parameter values of either explanation, could compensate. So |z| is the
 expected distance in standard deviations (T-optimal design, Atkinson & Fedorov 1975, nuisance integrated out).
 
-A hypothesis is one explanation with its fitted row and the uncertainty of each parameter. `to_plain` and `from_plain` carry it
-through a report, so that a later, longer calculation needs no data.
+A hypothesis is one explanation with its fitted parameter row and the uncertainty of each parameter. `to_plain` and `from_plain`
+store it in a report and read it back, so that a later, longer calculation needs no data.
 """
 
 from dataclasses import replace
@@ -35,10 +35,10 @@ from fishmj.gap.wording import title
 from fishmj.log import excitation
 from fishmj.log.excitation import Excitation
 
-FORM_ERROR = 0.1  # of what an explanation changes
-HINTS = 6  # experiments that a quick look tries
-ENOUGH = 5.0  # sigma from which an experiment is said to decide
-LEFT = 3  # explanations compared, the best among them
+FORM_ERROR = 0.1  # relative error of the change that an explanation makes
+HINTS = 6  # experiments that a quick calculation tries
+ENOUGH = 5.0  # expected separation, sigma, from which an experiment decides
+LEFT = 3  # explanations compared, including the best
 WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (measurements.toml beside the trials)"
 OPEN = ("CLASS", "UNEXPLAINED")
 
@@ -48,8 +48,8 @@ class Hypothesis(NamedTuple):
 
     names: tuple[str, ...]
     row: np.ndarray  # (P,) parameter row
-    moves: np.ndarray  # (K, P) rows, each one standard deviation of one parameter away
-    weight: float  # how probable it is
+    moves: np.ndarray  # (K, P) rows, each with one parameter changed by its standard deviation
+    weight: float  # probability
 
     @property
     def label(self) -> str:
@@ -62,9 +62,9 @@ class ExperimentScore(NamedTuple):
 
     excitation: str
     seconds: float
-    sigma: float  # between the two sides that it sets apart best, of those that the first takes part in
+    sigma: float  # separation of the best separated pair that contains the first hypothesis
     pair: tuple[str, str]
-    worth: float  # sum over pairs of weights times sigma^2, a second
+    worth: float  # sum over pairs of weights times sigma^2, per second of experiment
 
     def text(self) -> str:
         """Recommendation as a sentence."""
@@ -74,14 +74,14 @@ class ExperimentScore(NamedTuple):
 
 
 def in_words(label: str) -> str:
-    """Words for an explanation: its effects joined by +, since `and` stands between two explanations."""
+    """Words for an explanation: its effects joined by +, because `and` joins two explanations."""
     return " + ".join(map(title, label.split("+")))
 
 
 def experiment_scores(
     model, sides: list[Hypothesis], like: Record, runs, null: SimulatedNull, bars: Bars = silent_bar
 ) -> list[ExperimentScore]:
-    """Every experiment of `runs` (ids), best first. like: a record of this robot, whose sensors the planned ones have."""
+    """Scores of the experiments `runs` (ids), best first. like: a record of this robot; planned records get its sensors."""
     plans = [planned_record(excitation.get(name, like.commands.shape[1]), like) for name in filter(null.holds, runs)]
     null.prepare(model, plans, bars)
     out = []
@@ -143,7 +143,7 @@ def planned_record(run: Excitation, like: Record) -> Record:
 
 
 def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:
-    """A few promising experiments: the catalogue's for these sides, then those of the standard session."""
+    """A few promising experiments: those that the catalogue lists for these effects, then those of the standard session."""
     found: list[str] = []
     for a, b in combinations(sides, 2):
         for one, other in ((x, y) for p, q in ((a, b), (b, a)) for x in p.names for y in q.names):
@@ -155,13 +155,13 @@ def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:
 
 
 def normalise_weights(sides: list[Hypothesis]) -> list[Hypothesis]:
-    """The sides with weights that add up to 1, each at least a twentieth before: a listed rival is possible."""
+    """The hypotheses with weights that sum to 1. Each weight is first raised to at least 0.05: a listed rival is possible."""
     weights = np.maximum([s.weight for s in sides], 0.05)
     return [s._replace(weight=float(w)) for s, w in zip(sides, weights / weights.sum(), strict=True)]
 
 
 def advise(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNull, bars: Bars = silent_bar) -> Verdict:
-    """A CLASS verdict with the next experiment from a quick calculation, and the values for a longer one without data."""
+    """Adds to a CLASS verdict the next experiment from a quick calculation, and the values for a longer one without data."""
     sides = [] if verdict.next_experiment else normalise_weights(hypotheses_of(found, verdict))
     if len(sides) < 2:
         return verdict
@@ -173,7 +173,7 @@ def advise(e: Likelihood, found: Selection, verdict: Verdict, null: SimulatedNul
 
 
 def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
-    """The best experiment in words; if none of the library decides, a weighing that does, or other advice."""
+    """Sentence on the best experiment; if none of the library decides, on a weighing that does, or other advice."""
     best = next((p for p in found if p.sigma >= ENOUGH), None)
     if best:
         return best.text()
@@ -190,7 +190,7 @@ def advice(model, found: list[ExperimentScore], sides: list[Hypothesis]) -> str:
 
 
 def hypotheses_of(found: Selection, verdict: Verdict) -> list[Hypothesis]:
-    """Remaining explanations: the best, then each listed rival in its place; without rivals, the next of the last round."""
+    """Remaining explanations: the best one, then it with each listed rival in place; without rivals, the last round's next."""
     if not found.steps:
         return []
     near = found.near
@@ -218,7 +218,7 @@ def hypothesis(e: Likelihood, c: Candidate, weight: float) -> Hypothesis:
 
 
 def to_plain(model, s: Hypothesis) -> dict:
-    """{effect: {parameter: [value, low, high]}} of a side, 90 %."""
+    """{effect: {parameter: [value, low, high]}} of a hypothesis, 90 % intervals."""
     out: dict = {}
     quantile = thresholds().intervals.quantile
     entries = [(x, p) for x in model.active.effects if x.name in s.names for p in x.parameters]
@@ -231,7 +231,7 @@ def to_plain(model, s: Hypothesis) -> dict:
 
 
 def from_plain(model, values: dict, weight: float) -> Hypothesis:
-    """The side that `to_plain` wrote."""
+    """Hypothesis from the dictionary that `to_plain` wrote."""
     row = model.null.copy()
     moves = []
     quantile = thresholds().intervals.quantile

@@ -3,7 +3,7 @@
 with bars(96, "null runs", "runs") as bar:
     bar.update(1)
 
-A search may end before its last round: `at_most` marks the time left as an upper bound.
+A search may end before its last round; `at_most` says that the time left is an upper bound.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ class Bar(Protocol):
         """Reports `done` of the announced total."""
 
 
-Bars = Callable[..., AbstractContextManager[Bar]]  # (total, what is done, its unit, at_most: whether it may end before)
+Bars = Callable[..., AbstractContextManager[Bar]]  # (total, label, unit, at_most: True if the stage may end early)
 
 
 class QuietBar:

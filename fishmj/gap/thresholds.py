@@ -2,7 +2,7 @@
 
     thresholds().stepwise.attempts        frozen() is thresholds().gates
 
-They are read once a process and never change with the data. A table or key that a file of one's own leaves out is as shipped.
+They are read once per process and never depend on the data. Tables and keys that a user's file leaves out are as shipped.
 """
 
 from collections import namedtuple
@@ -22,14 +22,14 @@ class Gates:
     """Gates of a verdict, and the required gain of a selection round (twice the log likelihood of held-out records).
 
     A first effect must gain `gain` (`calibrated_gain` for a calibrated model), or `min_joint_gain` on all records at once and on
-    each fold given the others. A further one
+    each fold given the others. A further effect must gain
 
         max(gain + min_gain_per_sample m, min_gain_fraction (gain so far))
 
-    where m is the length of z, and only the share `uncontested_discount` of the second summand if no other candidate comes near.
-    A gain above `certain_gain` rules out chance.
-    A rival is a candidate behind the best by less than `margin` of the gain and `rival_margin_abs`, or one that wins more than
-    1 - `p_best` of the bootstrap draws. adequacy, closure, residual, form, size, transfer: see decide/decide.py.
+    where m is the length of z. If no other candidate comes near, only the share `uncontested_discount` of the second term is
+    required. A gain above `certain_gain` rules out chance.
+    A rival is a candidate behind the best by less than `margin` of the gain and less than `rival_margin_abs`, or one that wins
+    more than 1 - `p_best` of the bootstrap draws. adequacy, closure, residual, form, size, transfer: see decide/decide.py.
     """
 
     adequacy: float
@@ -72,7 +72,7 @@ def thresholds(name: str | Path = "gap") -> Thresholds:
     shipped = read_toml(calib_folder() / "gap.toml")
     where = shown_path(path)
     if unknown := sorted(set(given) - set(shipped)):
-        raise ConfigError(f"{where}: [{unknown[0][:64]}] is no table of thresholds; expected {', '.join(shipped)}")
+        raise ConfigError(f"{where}: [{unknown[0][:64]}] is not a table of thresholds; expected {', '.join(shipped)}")
     tables = {key: _table(given.get(key, {}), shipped[key], f"{where}: [{key}]") for key in shipped}
     frozen_tables = {key: namedtuple(key, table)(**table) for key, table in tables.items() if key != "gates"}
     return Thresholds(Gates(**tables["gates"]), **frozen_tables)
@@ -83,7 +83,7 @@ def _table(given: Any, shipped: dict, where: str) -> dict:
     if not isinstance(given, dict):
         raise ConfigError(f"{where}: got {given!r:.40}, expected a table of thresholds")
     if unknown := sorted(set(given) - set(shipped)):
-        raise ConfigError(f"{where}: {unknown[0][:64]!r} is no threshold; expected {', '.join(shipped)}")
+        raise ConfigError(f"{where}: {unknown[0][:64]!r} is not a threshold; expected {', '.join(shipped)}")
     return {key: _value(given.get(key, entry), entry["value"], f"{where}: {key}") for key, entry in shipped.items()}
 
 
@@ -110,8 +110,8 @@ def residual_allowed(checks: dict, gates: Gates) -> float:
 
         residual <= R,   or, if form <= F,   residual - 1 <= F^2 (adequacy - 1)
 
-    S holds the form error in steps of 1.4, and in a gap of a thousand times the floor a fiftieth of it shows. A formula that was
-    found right to within F, the allowed error of a formula, may leave F of its gain.
+    S includes the form error only in steps of a factor 1.4. In a gap of a thousand times the floor, even a fiftieth of the form
+    error is visible. So a formula with a form error of at most F may leave a residual of F^2 of its gain.
     """
     if checks.get("form", np.inf) > gates.form:
         return gates.residual

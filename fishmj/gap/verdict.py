@@ -44,17 +44,18 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a search. Gaps are |z|^2 / m (search/likelihood.py): healthy robots leave about 1, up to `gap_allowed` agrees.
+    """Result of a search. A gap is |z|^2 / m (search/likelihood.py): about 1 for healthy robots; up to `gap_allowed` agrees.
 
-    Those of measured robots (gap/measured) are mean squares in units of the floor.
-    effects: named or, with UNEXPLAINED, tentative. rivals: alternatives, each with the effect that it would replace. tentative:
-    further effects with a small gain that could be others. terms: with UNEXPLAINED, forces that describe the gap, best
-    first (terms/). explanations: with CLASS, those that the next experiment was chosen among, the found one first: [value, low,
-    high] of each number, and a weight. gap_unseen_before, gap_after_unseen: on records outside every decision. explained: share
-    of the excess of twice the log likelihood, each record predicted without its fold, with the allowed error of the formulas;
-    it is no share of the gap, and the residual may grow beside it. over_floor: its mean square over the floor before and after,
-    of the searched and the unseen records. steps: the rounds, decide.step_table. missed: with AGREES, what could have been
-    missed (decide/intervals.missed_sizes).
+    Gaps of measured robots (gap/measured) are mean squares in units of the floor instead.
+
+    effects: named effects or, with UNEXPLAINED, tentative ones. rivals: alternatives, each with the effect that it would replace.
+    tentative: further fitted effects, whose gain is too small to name them. terms: with UNEXPLAINED, forces that describe the
+    gap, best first (terms/). explanations: with CLASS, the hypotheses that the next experiment separates, the found one first:
+    [value, low, high] of each parameter, and a weight. gap_unseen_before, gap_after_unseen: on the records set
+    aside. explained: share of the excess of twice the log likelihood, cross-validated, allowing for the error of the
+    formulas; it is not a share of the gap, and the residual may grow all the same. over_floor: mean square of the residual over
+    the floor, before and after, on the searched records and on those set aside. steps: the rounds, decide.step_table.
+    missed: with AGREES, sizes of effects that could have been missed (decide/intervals.missed_sizes).
     """
 
     answer: str
@@ -80,19 +81,19 @@ class Verdict:
 
     @property
     def searched(self) -> bool:
-        """Returns True if a search with rounds made this, not the protocol of measured data (gap/measured)."""
+        """Returns True for the verdict of a stepwise search, False for that of the protocol for measured data (gap/measured)."""
         return bool(self.steps)
 
     @property
     def taken(self) -> bool:
-        """Returns True if the gap includes the listed effects: they gained more than chance on held-out records."""
+        """Returns True if `gap_after` includes the listed effects: they gained more than chance on held-out records."""
         return bool(self.effects) and "closure" in self.gates
 
     @property
     def shrinks(self) -> bool:
         """Returns True if the found effects lower the gap of all measured records, and the residual over the floor.
 
-        The allowance of healthy robots grows with the found effects, the floor does not.
+        Both count, because the covariance of the gap grows with the found effects while the floor does not.
         """
         rounds = [s["over_floor"] for s in self.steps if s["accepted"] and s.get("over_floor")]
         gaps = [(self.gap_before, self.gap_after), (self.gap_unseen_before, self.gap_after_unseen)]
@@ -101,9 +102,9 @@ class Verdict:
 
     @property
     def gap(self) -> tuple[float, float | None]:
-        """The reported pair: gap of all searched records with the present model, and with the taken effects; None without any.
+        """(before, after): gap of all searched records with the present model, and with the accepted effects; None without any.
 
-        Terminal, page, JSON and `gap apply` report this one.
+        Terminal, page, JSON and `gap apply` report this pair.
         """
         return self.gap_before, self.gap_after if self.taken else None
 
@@ -114,33 +115,33 @@ class Verdict:
         return asdict(self) | {"steps": steps, "gap_after": before if after is None else after}
 
     def told(self) -> str:
-        """Effect of the finding: a percentage with its reference; none beside a gap that does not shrink."""
+        """Success of the found effects in words: the explained share and its reference; no share if the gap does not shrink."""
         if not self.shrinks:
             return LIKELIER if self.searched else "does not lower the gap"
         kind = LIKELIHOOD if self.searched else "what lies above the floor"
         return f"explains {percent(self.explained)} of {kind}, on records that it was not fitted to"
 
     def gaps(self) -> list[str]:
-        """The gap in words, before and after the taken effects, or the present one; and the agreement of unseen records."""
+        """Sentences on the gap before and after the accepted effects, and on the change of the gap on records set aside."""
         where = "on the records searched" if self.searched else "on records kept aside"
         unit = f"|z|^2 / m; {self.yardstick()}" if self.searched else FLOOR
         return [moved(*self.gap, where, unit, self.shrinks), *self.unseen()]
 
     def yardstick(self) -> str:
-        """Meaning of the gap's size alone: a gap like that of healthy robots is none only if no effect was found in it."""
+        """Compares the gap with that of healthy robots. A gap as small as theirs is agreement only if no effect was found."""
         after = self.gap[1]
         if self.answer == "UNEXPLAINED" and after is not None and after <= self.gap_allowed < self.gap_before:
-            return f"healthy robots leave up to {level(self.gap_allowed)}; that little is left, but by no formula that holds"
+            return f"healthy robots leave up to {level(self.gap_allowed)}; it is that small now, but by no valid formula"
         if self.answer == "AGREES" or self.gap_before > self.gap_allowed:
             return f"up to {level(self.gap_allowed)} agrees"
-        return f"no more than the {level(self.gap_allowed)} that healthy robots leave, but not like theirs"
+        return f"no larger than the {level(self.gap_allowed)} of healthy robots, but of another form"
 
     def unseen(self) -> list[str]:
         """Sentence on the gap with the taken effects on records outside every decision; empty without such records."""
         if not (self.searched and self.taken) or self.gap_unseen_before is None or self.gap_after_unseen is None:
             return []
         does = "shrinks" if self.gap_after_unseen < self.gap_unseen_before else "does not shrink"
-        return [f"on records that no decision saw the gap {does}"]
+        return [f"the gap {does} on records that no decision used"]
 
     def text(self) -> str:
         """The answer in words, for a terminal."""
@@ -156,7 +157,7 @@ class Verdict:
             lines.append(f"  {self.told()}")
         for t in self.terms[:3]:
             also = f"; or {t['alike'][0]}" if t["alike"] else ""
-            share = f"takes off {percent(t['closure'])} of the excess of |z|^2 of the records that it was fitted to"
+            share = f"removes {percent(t['closure'])} of the excess |z|^2 on the records that it was fitted to"
             about = "a sensor's error" if t["name"].startswith(SENSORS) else "a force"
             lines.append(f"  as {about}: {t['name']}, {share}, {'firm' if t['firm'] else 'weak'}{also}")
         lines += [f"  {gap}" for gap in self.gaps()]
@@ -173,10 +174,10 @@ class Verdict:
         return sorted([(e.name, e.p_best), *rivals], key=lambda pair: -pair[1])
 
     def doubts(self, e: NamedEffect) -> list[str]:
-        """Doubts about one effect, to stand beside its size: another one wins more redraws, or the size may be none."""
+        """Doubts about one effect: another effect wins more bootstrap draws, or the interval of its size contains 0."""
         (first, share), rest = self.standing(e)[0], untold(e.parameters)
         ahead = self.taken and share > e.p_best
-        leads = [f"not the likeliest: {title(first)} wins {share:.2f} of the redraws, this one {e.p_best:.2f}"] * ahead
+        leads = [f"not the likeliest: {title(first)} wins {share:.2f} of the bootstrap draws, this one {e.p_best:.2f}"] * ahead
         return [*leads, rest] if rest else leads
 
     def ranking(self, e: NamedEffect) -> str:
@@ -184,21 +185,21 @@ class Verdict:
         return ", ".join(f"{title(n)} {p:.2f}" for n, p in self.standing(e))
 
 
-MOST = 10  # effects that could have been missed, in a terminal; the page and the JSON have all
-UP_TO = "not excluded, each alone: these logs would not have shown it up to about"
+MOST = 10  # possibly missed effects printed in a terminal; the page and the JSON list all
+UP_TO = "not excluded: sizes up to which these logs would not have shown each effect, if present alone"
 LIKELIHOOD = "the excess log likelihood"
-P_BEST = "P(best): share of redraws of these records that each one wins; a rival that wins none loses by too little to rule out"
+P_BEST = "P(best): share of bootstrap draws over the records that each effect wins; a rival at 0 is still too close to rule out"
 FLOOR = "mean square in units of the floor, 1 = agreement"
-LIKELIER = "makes records that it was not fitted to likelier, its formula's error granted, but their residual does not shrink"
+LIKELIER = "raises the likelihood of held-out records, allowing for the error of its formula, but their residual does not shrink"
 
 
 def least_detectable(missed: dict[str, dict]) -> list[str]:
-    """Effects of `Verdict.missed`: those that no size shows, then by the size over the typical one, the largest first."""
+    """Effects of `Verdict.missed`: first those undetectable at any size, then by detectable over typical size, largest first."""
     return sorted(missed, key=lambda name: -math.inf if (share := missed[name]["of_typical"]) is None else -share)
 
 
 def missed_words(missed: dict[str, dict]) -> tuple[list[str], list[str]]:
-    """`Verdict.missed` in words, the least detectable first: one text for each kind of effect, and those that no size shows."""
+    """`Verdict.missed` in words: (a text for each kind of effect, least detectable first; effects undetectable at any size)."""
     kinds: dict[str, list[str]] = {}
     for name in least_detectable(missed):
         if (told := missed[name])["value"] is not None:
@@ -237,12 +238,12 @@ def moved(before: float, after: float | None, where: str, unit: str, shrinks: bo
 def round_text(taken: bool, gain: float, over_floor: "tuple[float, float] | None") -> str:
     """One round in words.
 
-    taken: True if the effect went into the model, for its gain. over_floor: before and after, of records predicted without their
-    fold.
+    taken: True if the effect was added to the model for its gain. over_floor: mean square of the cross-validated residual over
+    the floor, before and after.
     """
     if not taken and gain <= 0.0:
         return "adding it does not improve the fit"
     text = f"gain {number(gain)} in twice the log likelihood of records not seen"
     if not taken:
         return f"adding it improves the fit too little: {text}, not enough"
-    return f"{text}, accepted" if lowers(over_floor) else f"{text}, taken though their residual does not shrink"
+    return f"{text}, accepted" if lowers(over_floor) else f"{text}, kept although their residual does not shrink"

@@ -10,12 +10,12 @@ SCALES = {
     "m": (1e3, "mm"),
     "m/s": (1e3, "mm/s"),
 }
-PLAIN = 1e6  # from here on numbers are written with an exponent
-PERSONS = re.compile(r"\b(coulomb|munk|stribeck)\b")  # in the words of effects
+PLAIN = 1e6  # larger numbers are written with an exponent
+PERSONS = re.compile(r"\b(coulomb|munk|stribeck)\b")  # names of persons, which get a capital
 
 
 def title(name: str) -> str:
-    """An effect's id, or several with + between, as words: `coulomb_friction@left_hip` is Coulomb friction at left hip."""
+    """Words for an effect's id, or for several joined by +: `coulomb_friction@left_hip` is Coulomb friction at left hip."""
     parts = (part.strip().replace("_", " ").partition("@") for part in name.split("+"))
     capital = lambda found: found[0].capitalize()
     return " and ".join(PERSONS.sub(capital, effect) + f"{at}{place}".replace("@", " at ") for effect, at, place in parts)
@@ -59,7 +59,7 @@ def quantity(value: float, unit: str, low: float | None = None, high: float | No
 
 
 def sizes(name: str, parameters: dict, alone: bool = False) -> str:
-    """Values of an effect in words, with intervals if there are any. parameters: of a `NamedEffect`. alone: without its name."""
+    """Values of an effect in words, with their intervals. parameters: of a `NamedEffect`. alone: leave out the effect's name."""
     many = len(parameters) > 1
     text = lambda p: quantity(p.value, p.unit, getattr(p, "low", None), getattr(p, "high", None))
     values = [f"{title(k) + ' ' if many else ''}{text(p)}" for k, p in parameters.items()]
@@ -67,8 +67,8 @@ def sizes(name: str, parameters: dict, alone: bool = False) -> str:
 
 
 def untold(parameters: dict) -> str:
-    """Doubt about the size of an effect whose interval holds 0; "" if there is none. parameters: of a `NamedEffect`."""
+    """Warning if the interval of an effect's size contains 0, else "". parameters: of a `NamedEffect`."""
     units = [p.unit for p in parameters.values()][:1]
-    main = [p for p in parameters.values() if p.unit in units]  # a shape has another unit
+    main = [p for p in parameters.values() if p.unit in units]  # a parameter of shape has another unit
     holds = bool(main) and all(getattr(p, "low", 1.0) <= 0.0 <= getattr(p, "high", -1.0) for p in main)
-    return "not told from none: its interval holds 0" if holds else ""
+    return "not distinguishable from zero: its interval contains 0" if holds else ""

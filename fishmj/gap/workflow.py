@@ -1,6 +1,6 @@
-"""`gap find` from end to end: a data set in, an answer out.
+"""`gap find` from a data set to a verdict.
 
-read -> null runs -> forward selection -> gates -> free forces -> repeatable? -> gap on records that no decision saw
+read -> null runs -> forward selection -> gates -> free forces -> repeatability -> gap on records set aside
 """
 
 import time
@@ -33,10 +33,10 @@ from fishmj.log.replicates import RATIO, groups
 
 @dataclass(frozen=True)
 class Inquiry:
-    """One search: what the vetoes ask, and what is left for the report.
+    """State of one search, for the vetoes and for the report.
 
-    verdict: of the gates while the vetoes are asked, then the last one. unseen: (L,) bool over `records`, those that took no part
-    in any decision; the others are those of `evidence`. further, seed, say, bars, notes: as of `investigate`.
+    verdict: that of the gates, then as changed by each veto. unseen: (L,) bool over `records`: those held out of every decision;
+    the others are those of `evidence`. further, seed, say, bars, notes: as for `investigate`.
     """
 
     verdict: Verdict
@@ -61,7 +61,7 @@ class Inquiry:
 
     @property
     def judged(self) -> list[str]:
-        """Names of the records that no decision saw; without such, of those outside the first fit."""
+        """Names of the records held out of every decision; if there are none, of those held out of the first fit."""
         seen = [r.name for r, u in zip(self.records, self.unseen, strict=True) if not u]
         apart = [r.name for r, u in zip(self.records, self.unseen, strict=True) if u]
         return apart or [name for name, held in zip(seen, self.held, strict=True) if held]
@@ -73,7 +73,7 @@ class Inquiry:
 
 
 @one_blas_thread()
-@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
+@np.errstate(over="ignore", invalid="ignore")  # a diverged rollout counts as a huge cost
 def investigate(
     model,
     trials: list[Trial],
@@ -97,8 +97,8 @@ def investigate(
         mass_known: the description's mass counts as weighed if the page has no scales.
         healthy: result of the calibration swims (search/healthy_swims.py): the usual gap of this robot and its remaining
             uncertainty; None: not measured.
-        further: after CLASS, search for the deciding experiment; after UNEXPLAINED, for the terms that describe the rest.
-        bars: progress of a stage (watch.py). admit: sees the likelihood before the search, may raise. notes: kept for the report.
+        further: after CLASS, also search for the deciding experiment; after UNEXPLAINED, for terms that describe the gap.
+        bars: progress bars. admit: is called with the likelihood before the search and may raise. notes: for the report.
 
     Raises LogError: fewer than two trials, or a trial that cannot be compared; ConfigError: a page with an invalid number.
     """
@@ -106,7 +106,7 @@ def investigate(
     null = null or SimulatedNull()
     records = model.records(trials)
     if len(records) < 2:
-        raise LogError(f"gap find: got {len(records)} trial; at least two are needed, one to fit and one to judge")
+        raise LogError(f"gap find: got {len(records)} trial; at least two are needed: one to fit, one to validate")
     say(f"{len(records)} records, {sum(r.seconds for r in records):.0f} s; {len(model.active.effects)} effects in question")
     compile_kernel(model, say)
     say(f"null: {null.text}")
@@ -121,7 +121,7 @@ def investigate(
     gates = e.allowed(gates, healthy.calibration_residual if healthy else 0.0)
     if healthy:
         left, usual = level(healthy.calibration_residual), level(gates.adequacy)
-        say(f"the swims that the water was calibrated to leave {left}: a gap up to {usual} is usual here")
+        say(f"baseline misfit on the calibration swims: {left}; gaps up to {usual} are usual for this robot")
     found = forward_select(e, gates, split(seen, seed), say, bars)
     verdict = decide(e, found, gates)
     inquiry = Inquiry(verdict, e, found, gates, trials, records, unseen, null, swims, further, seed, say, bars, notes)
@@ -131,7 +131,7 @@ def investigate(
 
 
 def compile_kernel(model, say: Callable[[str], None]) -> None:
-    """Compiles the model's step to machine code, and reports the duration, which no bar's time left includes."""
+    """Compiles the model's step to machine code and reports how long that took: no progress bar covers it."""
     if hasattr(type(model), "kernel") and "kernel" not in vars(model):
         say("compiling the model's kernel: some 12 s on one core the first time, then cached")
         begin = time.monotonic()
@@ -140,7 +140,7 @@ def compile_kernel(model, say: Callable[[str], None]) -> None:
 
 
 def set_aside(records: Sequence, seed: int) -> np.ndarray:
-    """(L,) bool: a quarter of many records, none of few."""
+    """(L,) bool: records held out of every decision, a quarter if there are many, none if there are few."""
     aside = np.zeros(len(records), bool)
     if len(records) >= thresholds().workflow.set_aside_from:
         aside[np.random.default_rng(seed + 1).permutation(len(records))[: len(records) // 4]] = True
@@ -148,9 +148,9 @@ def set_aside(records: Sequence, seed: int) -> np.ndarray:
 
 
 def with_missed_sizes(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Adds to AGREES the sizes of effects that could have been missed: a few more evaluations.
+    """Adds to AGREES the sizes of effects that could have been missed, at the cost of a few evaluations.
 
-    A round asks for `gain`; where one found no more than chance, only `certain_gain` rules that out.
+    Detection needs `gain`; after a round that found no more than chance it needs `certain_gain`.
     """
     if verdict.answer != "AGREES":
         return verdict
@@ -161,7 +161,7 @@ def with_missed_sizes(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 
 # ------------------------------------------------------------------------------------------------------------------------- vetoes
 def challenge_by_free_forces(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Veto G10: no free force explains more, else UNEXPLAINED; CLASS beside a sensor's own error."""
+    """Veto G10: UNEXPLAINED if a free force explains more; CLASS if a sensor error explains as much."""
     if verdict.answer not in ("NAMED", "CLASS"):
         return verdict
     from fishmj.gap.terms.stronger import challenge
@@ -170,7 +170,7 @@ def challenge_by_free_forces(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 
 
 def require_repeatability(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Veto: replicates agree, else NOT_REPEATABLE. It replaces any answer but AGREES."""
+    """Veto: NOT_REPEATABLE if replicates differ. It replaces any answer but AGREES."""
     shakes = unrepeatable(inquiry.trials, inquiry.evidence) if verdict.answer != "AGREES" else ""
     return replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=()) if shakes else verdict
 
@@ -181,22 +181,22 @@ def propose_experiment(verdict: Verdict, inquiry: Inquiry) -> Verdict:
         return verdict
     from fishmj.gap.experiment import advise
 
-    inquiry.say("which experiment would decide?")
+    inquiry.say("searching for the experiment that separates these effects")
     return advise(inquiry.evidence, inquiry.found, verdict, inquiry.null, inquiry.bars)
 
 
 def describe_by_terms(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Adds to UNEXPLAINED the terms that describe what is left."""
+    """Adds to UNEXPLAINED the terms that describe the remaining gap."""
     if not inquiry.further or verdict.answer != "UNEXPLAINED":
         return verdict
     from fishmj.gap.terms.select import describe
 
-    inquiry.say("which force would it be?")
+    inquiry.say("searching for forces that describe the gap")
     return replace(verdict, terms=describe(inquiry.evidence, inquiry.null, inquiry.seed))
 
 
 def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Veto: the residual shrinks on records set aside, else UNEXPLAINED instead of NAMED or CLASS. Adds the gap on them."""
+    """Veto: UNEXPLAINED if the residual does not shrink on records set aside. Adds the gap on them to the verdict."""
     if not inquiry.unseen.any():
         return verdict
     model, found = inquiry.evidence.model, inquiry.found
@@ -210,12 +210,12 @@ def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     grown = after > before + thresholds().workflow.chance_growth and near.loss(found.best.row) > apart.loss(model.null)
     if not grown or verdict.answer not in ("NAMED", "CLASS"):
         return verdict
-    why = f"the residual grows from {level(before)} to {level(after)} floors on records that no decision saw"
+    why = f"the residual on the records set aside grows from {level(before)} to {level(after)} times the floor"
     return replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
 
 
 def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Veto for a robot in MJCF: torques that nothing explains get smaller where an effect acts, else it is not named."""
+    """Veto for a robot in MJCF: an effect is named only if the unexplained torque shrinks where it acts."""
     model = inquiry.evidence.model
     if not isinstance(model, RigidRobot):
         return verdict
@@ -225,12 +225,12 @@ def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 
 
 def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Veto for a robot in MJCF: the residual of records predicted without their fold comes down to the floor, else UNEXPLAINED.
+    """Veto for a robot in MJCF: UNEXPLAINED if the cross-validated residual stays above the floor.
 
-    Or the model with the effects agrees by the description's own tolerances (gate G1): where one constant makes most of the
-    floor, a true robot that is two deviations off leaves four floors. One effect of the wrong form, or several wrong ones
-    together, take most of a gap and stop above both. It is not asked of effects that draw, or of a command in steps: no
-    prediction has the draws, or the moment of each jump.
+    It does not apply if the model with the effects agrees within the description's tolerances (gate G1): where one constant makes
+    most of the floor, a correct robot two standard deviations off leaves four times the floor. Effects of the wrong form remove
+    most of a gap but stay above both limits. Nor does it apply to random effects or quantised commands: no model predicts the
+    draws, or the moment of each jump.
     """
     model, found, most = inquiry.evidence.model, inquiry.found, thresholds().torques.floors
     if verdict.answer not in ("NAMED", "CLASS") or not isinstance(model, RigidRobot):
@@ -248,11 +248,11 @@ def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     if left <= most or gap <= inquiry.gates.adequacy:
         return verdict
     what = "they are" if len(names) > 1 else "it is"
-    why = f"the residual of records not seen stops at {level(left)} floors, above {level(most)}; {what} tentative"
+    why = f"the residual of held-out records is still {level(left)} times the floor, above {level(most)}; {what} tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
-# Row 20 to 22 of the gates on docs/search/gap.md, in its order; what only adds to the verdict stands where it is needed.
+# The vetoes in the order of rows 20 to 22 of docs/search/gap.md; steps that only add to the verdict stand where needed.
 VETOES = (
     *(challenge_by_free_forces, require_repeatability, require_residual_at_floor, propose_experiment, describe_by_terms),
     *(require_smaller_torques, ask_unseen_records),
@@ -260,10 +260,10 @@ VETOES = (
 
 
 def unrepeatable(trials: list[Trial], e: Likelihood) -> str:
-    """Reason that a gap cannot be named because replicates differ from each other as much as from the model; else "".
+    """Reason for NOT_REPEATABLE if replicates differ from each other as much as from the model; else "".
 
-    Mean square of the residual over its variance between replicates, the median over the channels that show a gap: a slow random
-    drift may by chance lead all replicates of one channel the same way.
+    The test is the mean square of the residual over its variance between replicates: the median over the channels with a gap,
+    since a slow random drift may by chance shift all replicates of one channel the same way.
     """
     residual = e.layout.residuals(e.model.predict(e.records, e.model.null))[0] / e.scale
     ratios = []

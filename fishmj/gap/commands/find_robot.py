@@ -68,7 +68,7 @@ def find(args: Any) -> int:
         return write_map(args)
     robot, files, trials, broken = read_logs(args)
     if len(trials) < 2:
-        raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed, one to fit and one to judge")
+        raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed: one to fit, one to validate")
     with interrupt.keeping(words):
         inquiry = search(robot, trials, args)
         place = place_of(inquiry)

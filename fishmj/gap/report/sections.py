@@ -101,7 +101,7 @@ def warnings(m: ReportData) -> list[str]:
     shown += m.inquiry.notes  # file names: nothing of them is marked up
     shown += [sentence(text) for text in m.inquiry.verdict.unseen()]
     if not m.inquiry.unseen.any():
-        shown.append("No record was kept apart: of nine or more a quarter is, for a last figure that no decision saw.")
+        shown.append("No record was set aside for a final check: that needs nine records or more.")
     return shown
 
 

@@ -57,7 +57,7 @@ class Term:
         return found and self.stability >= LIMITS.stability and self.closure >= LIMITS.closure
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
+@np.errstate(over="ignore", invalid="ignore")  # a diverged rollout counts as a huge cost
 def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> tuple[Term, ...]:
     """The terms that describe the residual of `records`, from the fish with the library in it, best first.
 

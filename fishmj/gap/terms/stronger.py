@@ -61,7 +61,7 @@ class StrongerTerm(NamedTuple):
     form: float
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a fish that leaves the finite numbers is a huge cost to the search
+@np.errstate(over="ignore", invalid="ignore")  # a diverged rollout counts as a huge cost
 def challenge(e: Likelihood, found: Selection, verdict: Verdict) -> Verdict:
     """The verdict (of a swimming fish) with the lead of the best free term; UNEXPLAINED if that exceeds chance."""
     if not isinstance(e.model, SwimmingFish):
