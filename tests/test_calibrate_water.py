@@ -270,7 +270,7 @@ def test_swims_without_a_stated_current_are_said_to_be_taken_for_still_water(tmp
     for name, trial in trials.items():
         write_trial(tmp_path / "swims" / name, trial)
     logs = commands.open_logs(Namespace(data=tmp_path / "swims", model="fish", same_robot=False), ROBOT)
-    line = "1 of 2 swims do not state their current, flow in meta.toml or log import --flow; taken for still water"
+    line = "1 of 2 swims state no current (flow in meta.toml, or log import --flow); still water is assumed"
     assert line in logs.notes and line in capsys.readouterr().err
 
 

@@ -160,7 +160,7 @@ def test_logs_with_other_joints_or_no_robot_are_told_apart():
     assert admission.of_this_robot([trial], robot, "fish") == []
     assert "1 of 1 trials name no robot" in admission.of_this_robot([nameless], robot, "fish")[0]
     fewer = {k: v for k, v in trial.tables["cmd"].items() if k != "c3"}
-    with pytest.raises(LogError, match=r"has 2 joints, the model fish \(swift\) 3"):
+    with pytest.raises(LogError, match=r"has 2 joints, the model fish \(swift\) has 3"):
         admission.of_this_robot([Trial(trial.meta, {"cmd": fewer}, name="a")], robot, "fish", agreed=True)
 
 
@@ -174,7 +174,7 @@ def test_generators_of_logs_name_the_robot_that_the_model_has():
 def test_null_sets_of_another_fish_are_refused_with_what_differs():
     sets = RecordedNull(folder=solver.folder() / "nulls")
     admission.null_fits(sets, in_water(load_robot("fish"), solver.WATER), "fish")
-    with pytest.raises(ConfigError, match=r"differs from it in servo.kp \(8, 8.4\); leave --null out"):
+    with pytest.raises(ConfigError, match=r"differs in servo.kp \(8, 8.4\). Leave out --null"):
         admission.null_fits(sets, stiffer(), "mine.toml")
     with pytest.raises(ConfigError, match="null sets of 'swift' with 3 joints; the model x is 'shark'"):
         admission.null_fits(sets, replace(load_robot("fish"), name="shark"), "x")
@@ -213,13 +213,13 @@ def seen(sensor: str, columns, change):
     ("change", "says"),
     [
         (seen("joint", [0], lambda v: 57.3 * v), "joint 1: moves 57.3 times as far as the model: in degrees?"),
-        (seen("joint", [1], lambda v: -v), "joint 2: runs against the model (correlation -1.00)"),
+        (seen("joint", [1], lambda v: -v), "joint 2: opposite to the model (correlation -1.00)"),
         (seen("joint", [0, 1], lambda v: v[:, ::-1]), "joint 1: follows the command of joint 2"),
-        (seen("joint", [2], lambda v: 0.01 * v), "joint 3: moves 1% of what it was told"),
+        (seen("joint", [2], lambda v: 0.01 * v), "joint 3: moves 1% of its commanded motion"),
         (seen("joint", [2], lambda v: v + 0.6), "joint 3: 34 deg off on average"),
-        (seen("pose", [2], lambda v: -v), "heading: turns against the model"),
+        (seen("pose", [2], lambda v: -v), "heading: opposite to the model"),
         (seen("pose", [0, 1], lambda v: 1000 * v), "in mm?"),
-        (seen("pose", [0, 1], lambda v: v[:, ::-1] * [-1, 1]), "position: goes 90 deg beside the model's path"),
+        (seen("pose", [0, 1], lambda v: v[:, ::-1] * [-1, 1]), "position: path is 90 deg off the model's"),
         (seen("power", [0], lambda v: 1000 * v), "in mW?"),
     ],
 )
@@ -234,7 +234,7 @@ def test_huge_gap_is_refused_with_a_usual_cause_or_beyond_all_effects(far):
     admission.admit(far(flipped, gap=900.0))
     admission.admit(far(flipped), anyway=True)
     for evidence in (far(flipped), far(gap=2e5)):
-        with pytest.raises(admission.TooDifferent, match="too different"):
+        with pytest.raises(admission.TooDifferent, match="too large for any"):
             admission.admit(evidence)
 
 

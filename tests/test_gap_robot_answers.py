@@ -94,7 +94,7 @@ def test_one_log_in_another_unit_is_doubted(servo_arm):
     turned = _of_angles(records[1], np.full(2, np.pi / 180))
     wrong = [records[0], turned._replace(commands=turned.commands * np.pi / 180), records[2]]
     (told,) = in_another_unit(robot, wrong)
-    assert told.startswith(f"{records[1].name}: ") and "is it in rad, and they in deg?" in told
+    assert told.startswith(f"{records[1].name}: ") and "is it in rad and the others in deg?" in told
     assert in_another_unit(robot, [records[0], turned, records[2]]) == []
 
 

@@ -278,7 +278,7 @@ def test_mistake_is_named_with_its_remedy(what, described_arm):
     robot, records = described_arm
     wrong = next(changed for name, _, changed in undone(robot, records) if name == what)
     assert mistakes(robot, wrong)[0].what == what
-    with pytest.raises(LogError, match=r"--columns MAP.toml. If the logs are right, go on with --anyway"):
+    with pytest.raises(LogError, match=r"--columns MAP.toml. If the logs are right, add --anyway"):
         refuse_mistakes(robot, wrong)
     refuse_mistakes(robot, wrong, anyway=True)
 
@@ -301,7 +301,7 @@ def test_joint_that_never_moves_is_doubted(described_arm):
 
 def test_commands_on_another_clock_are_refused(arm, described_arm):
     robot, records = described_arm
-    with pytest.raises(LogError, match="another clock"):
+    with pytest.raises(LogError, match="different clocks"):
         refuse_mistakes(robot, [r._replace(sent=r.sent - 0.4) for r in records])
 
 
@@ -312,17 +312,17 @@ def test_readings_beyond_the_range_and_other_wraps_are_doubted(folder, described
         edited(elbow_joint='range="2 3" limited="true"').replace("<option", "<compiler angle='radian'/><option"),
     )
     doubt = doubts(read_robot(limited), records)[0]
-    assert "beyond its range, 2 to 3" in doubt and "degrees" not in doubt
+    assert "outside its range, 2 to 3" in doubt and "degrees" not in doubt
     in_rad = written(folder / "in_rad.xml", edited(elbow_joint='range="-2 2" limited="true"'))  # read as degrees
     doubt = doubts(read_robot(in_rad), records)[0]
     assert (
         "-0.0349 to 0.0349" in doubt
-        and 'the model states -2 to 2 in rad: MJCF takes degrees without <compiler angle="radian"/>' in doubt
+        and 'the model means -2 to 2 in rad: MJCF reads degrees without <compiler angle="radian"/>' in doubt
     )
     values = records[0].joint.values.copy()
     values[20:, 1] += 5.2
     wrapped = records[0]._replace(joint=records[0].joint._replace(values=values))
-    assert any("wrap at another turn" in doubt for doubt in doubts(described_arm[0], [wrapped]))
+    assert any("wrap not at 2 pi" in doubt for doubt in doubts(described_arm[0], [wrapped]))
 
 
 # ------------------------------------------------------------------------------------------------------------- next experiment

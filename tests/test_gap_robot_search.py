@@ -138,7 +138,7 @@ def test_healthy_arm_agrees(folder, arm):
         once, twice = np.sum((e.subset().z(rows) - start) ** 2, 1)
         assert 0.5 < once / found.gates.gain < 2 and twice > 2 * once, name
     damping = quantity(v.missed["viscous_friction@elbow"]["value"], "N m s/rad")
-    assert "not excluded, each alone" in v.text() and f"{damping} at elbow" in v.text()
+    assert "not excluded: sizes" in v.text() and f"{damping} at elbow" in v.text()
 
 
 def test_torque_of_no_effect_is_unexplained(folder, arm):

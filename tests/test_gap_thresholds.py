@@ -38,8 +38,8 @@ def test_a_file_of_ones_own_changes_what_it_states_alone(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[gate]\ngain = 1.0", "[gate] is no table of thresholds"),
-        ("[gates]\ngane = 1.0", "'gane' is no threshold"),
+        ("[gate]\ngain = 1.0", "[gate] is not a table of thresholds"),
+        ("[gates]\ngane = 1.0", "'gane' is not a threshold"),
         ("[gates]\ngain = true", "[gates]: gain: got True, expected a number"),
         ("[gates]\nmax_effects = 2.5", "max_effects: got 2.5, expected a whole number"),
         ("[fit]\nprobe_sizes = 0.5", "probe_sizes: got 0.5, expected a list of numbers"),

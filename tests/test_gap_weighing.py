@@ -164,7 +164,7 @@ def test_a_number_that_a_page_lacks_is_named(plant):
 
 def test_a_current_that_no_trial_states_is_told():
     trial = hidden({}, 5, RUNS[:1])[0]
-    told = "1 of 1 swims do not state their current, flow in meta.toml or log import --flow; taken for still water"
+    told = "1 of 1 swims state no current (flow in meta.toml, or log import --flow); still water is assumed"
     meta = {key: value for key, value in trial.meta.items() if key != "flow"}
     assert admission.still_water([trial]) == [] and admission.still_water([replace(trial, meta=meta)]) == [told]
     assert admission.still_water([replace(trial, meta=meta | {"flow": {"speed": 0.0, "known": False}})]) == [told]

@@ -88,8 +88,8 @@ def test_a_search_says_which_age_of_the_poses_it_takes():
     assert admission.surroundings([trial(**still), trial(latency={"pose": 0.065}, **still)], robot) == []
     told = admission.surroundings([trial(latency={"pose": 0.03}, **still), replace(trial(**still), name="b")], robot)
     assert told == [
-        "1 trials state how old a pose is at its stamp, latency.pose 0.03 to 0.03 s; "
-        f"taken in place of camera_latency = 0.065 s of {robot.name!r}"
+        "1 trials state the age of a pose at its stamp, latency.pose 0.03 to 0.03 s; "
+        f"it replaces camera_latency = 0.065 s of {robot.name!r}"
     ]
 
 

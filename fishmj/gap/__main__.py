@@ -11,7 +11,7 @@ main = console.CommandGroup(
     {
         "find": Command(
             "fishmj.gap.commands.find",
-            "what is missing, with its size, its rivals and the gap before and after",
+            "the missing effect, with its size, its rivals and the gap before and after",
             "fishmj gap find logs --out report",
         ),
         "plant": Command(
@@ -21,7 +21,7 @@ main = console.CommandGroup(
         "apply": Command("fishmj.gap.commands.apply", "the next version of the model, reversible", "fishmj gap apply report"),
         "check": Command(
             "fishmj.gap.commands.check",
-            "whether a version still closes the gap that it was written for",
+            "test whether a version still closes its gap",
             "fishmj gap check model.toml --data logs",
         ),
         "bench": Command(
@@ -29,12 +29,12 @@ main = console.CommandGroup(
         ),
         "fetch": Command(
             "fishmj.gap.measured.fetch",
-            "a public data set, every file checked",
+            "download a public data set and check every file",
             "fishmj gap fetch tail_fish --out data/tail_fish",
         ),
         "measured": Command(
             "fishmj.gap.measured.measured_command",
-            "what a model of a machine of yours lacks, by groups of its records; published sets, too",
+            "missing effects of your own kind of machine, by groups of records; published data sets too",
             "fishmj gap measured --study my.toml --out report",
         ),
     },

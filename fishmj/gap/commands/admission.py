@@ -1,18 +1,18 @@
-"""Checks of a model and of logs before a search, so that no name comes out of nothing, or of a mistake.
+"""Checks of a model and its logs before a search, so that poor data or a mistake are not taken for an effect.
 
-searchable, null_fits   the search traces the model's links into one compiled step and repeats every record with `virtual_robot`,
-                        which must have equations for it
-admitted                the trials of the model's robot: another name may still be the same robot, which the
-                        user must confirm; and only motions that a robot can have swum (log/physical_checks.py)
-insufficient_data       too few     one record cannot both fit and judge
-                        too short   no record lasts 2 s: less than two beats
-                        too quiet   no command moves, nothing was pushed, no water flowed: every effect predicts the same rest
-admit                   a gap too large for any missing effect: other units, a sign, another frame, another robot
+searchable, null_fits   the search compiles the model's step and repeats every record with `virtual_robot`: both must support
+                        the model
+admitted                the trials are of the model's robot (under another name only if the user confirms it), and the motion is
+                        physically possible (log/physical_checks.py)
+insufficient_data       too few     one record cannot serve both to fit and to validate
+                        too short   no record lasts 2 s, about two tail beats
+                        too quiet   no command moves, no push, no current: every effect predicts the same rest
+admit                   the gap is too large for any effect: wrong units, sign or frame, or another robot
 
-One or two effects of the catalogue, at up to one and a half times their typical size, reach a gap of 1000 in nine of 1440 blind
-sets of the benchmark (tethers, stiff skins, up to 18,946: bench_2010.json, bench_2011.json in studies/gap_benchmark/rows). So a
-search stops at a recognised cause from FAR on in one channel, and in any case from BEYOND on; docs/search/results.md states how
-often that is wrong.
+Of 1440 blind sets of the benchmark with one or two effects of up to 1.5 times their typical size, nine have a gap above 1000
+(tethers, stiff skins, up to 18,946: bench_2010.json, bench_2011.json in studies/gap_benchmark/rows). So a search stops above FAR
+in one channel if a usual mistake is recognised, and above BEYOND in any case. docs/search/results.md states how often that is
+wrong.
 """
 
 from collections import Counter
@@ -43,8 +43,8 @@ from fishmj.mjcf.identity import another_body
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import label, residuals_of
 
-SAME_AGE = 1e-3  # s, of a pose at its stamp
-SHIPPED = "fish"  # what the null sets swam as, which say a name only
+SAME_AGE = 1e-3  # s, tolerance of a pose's age at its stamp
+SHIPPED = "fish"  # robot of the null sets, which state a name only
 
 
 def searchable(robot: Robot, model: object) -> None:
@@ -53,13 +53,13 @@ def searchable(robot: Robot, model: object) -> None:
     if residuals_of(robot):
         name = label(robot)
         raise ConfigError(
-            f"the search swims strips, and water {name!r} has a learnt force, which it would leave out; take its strips,"
+            f"the search supports strip forces only, and water {name!r} has a learnt force; take its strips:"
             f" --water {strips_of(name)}, or structured"
         )
     ticks = PERIOD / robot.timing.physics_dt
     if abs(ticks - round(ticks)) > 1e-6:
         step = f"{model} has physics_dt = {robot.timing.physics_dt:g} s"
-        raise ConfigError(f"the search repeats commands every {PERIOD:g} s, a whole number of physics steps; {step}; take 0.004")
+        raise ConfigError(f"the search needs a physics step that divides the command period, {PERIOD:g} s; {step}; take 0.004")
 
 
 def admitted(
@@ -68,7 +68,7 @@ def admitted(
     """The trials of a data set that can be compared with the model, and notes on them.
 
     Args:
-        agreed: accept logs of another name or body. anyway: accept physically impossible motion.
+        agreed: accept logs of a robot with another name or body. anyway: accept physically impossible motion.
 
     Raises LogError: no trial, another number of joints, another robot's name or body without agreement, or impossible motion (a
     mirrored camera, a joint against its command); ConfigError: weighings in another unit.
@@ -84,14 +84,14 @@ def admitted(
         console.warn(note)
     if breaches and not anyway:
         message = f"{data}: {'; '.join(breaches)}"
-        if not console.confirmed(f"{message}. Search all the same?"):
-            out = f"take such a trial's folder out, then `fishmj log manifest {quote(str(data))}`"
-            raise LogError(f"{message}. To search without it, {out}; to search all the same, --anyway")
+        if not console.confirmed(f"{message}. Search anyway?"):
+            out = f"remove its folder, then run `fishmj log manifest {quote(str(data))}`"
+            raise LogError(f"{message}. To search without this trial, {out}. To search with it, add --anyway")
     return given, notes
 
 
 def unphysical(trials: Iterable[Trial], only: Iterable[str] = (), length: float = 0.0) -> tuple[list[str], list[str]]:
-    """(Breaches of the physical checks, which forbid a comparison with a model; doubts, which do not), a line for each check.
+    """(breaches, which forbid a comparison with a model; doubts, which do not) of the physical checks, one line for each check.
 
     only: names of checks; all by default. length: of the robot, m.
     """
@@ -126,7 +126,7 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
             others.add(repr(name) if name != robot.name else f"{name!r} with another body (lengths, sections, fins)")
         if joints and joints != robot.n_joints:
             whose = f"trial {trial.name} ({name or 'no robot named'}) has {joints} joints"
-            mine = f"the model {model} ({robot.name}) {robot.n_joints}"
+            mine = f"the model {model} ({robot.name}) has {robot.n_joints}"
             raise LogError(f"{whose}, {mine}; name the model of that robot with --model")
     if others:
         differ = f"the logs are of {', '.join(sorted(others))}, the model {model} is {robot.name!r}"
@@ -137,27 +137,27 @@ def of_this_robot(trials: Iterable[Trial], robot: Robot, model: object, agreed: 
 
 
 def still_water(trials: Iterable[Trial]) -> list[str]:
-    """Note on swims whose current is not stated: the model swims them in still water, and a current looks like an effect."""
+    """Note on swims that state no current: the model assumes still water, so a current would look like an effect."""
     swims = [t for t in trials if "pose" in t.tables and t.value("medium") != "air"]
     speeds = [(t.value("flow.speed"), t.value("flow.known")) for t in swims]
     unsaid = sum(speed is None or not speed and known is False for speed, known in speeds)
-    told = f"{unsaid} of {len(swims)} swims do not state their current, flow in meta.toml or log import --flow"
-    return [f"{told}; taken for still water"] * bool(unsaid)
+    told = f"{unsaid} of {len(swims)} swims state no current (flow in meta.toml, or log import --flow)"
+    return [f"{told}; still water is assumed"] * bool(unsaid)
 
 
 def surroundings(trials: Collection[Trial], robot: Robot) -> list[str]:
-    """Notes on swims whose current is not stated, and on those that state another age of their poses than the description."""
+    """Notes on swims that state no current, and on those whose poses are older or newer than the description says."""
     notes, mine = still_water(trials), robot.timing.camera_latency
     stated = [age for trial in trials if "pose" in trial.tables and (age := age_of_poses(trial)) is not None]
     others = [age for age in stated if abs(age - mine) > SAME_AGE]
     if others:
-        told = f"{len(others)} trials state how old a pose is at its stamp, latency.pose {min(others):.3g} to {max(others):.3g} s"
-        notes.append(f"{told}; taken in place of camera_latency = {mine:.3g} s of {robot.name!r}")
+        told = f"{len(others)} trials state the age of a pose at its stamp, latency.pose {min(others):.3g} to {max(others):.3g} s"
+        notes.append(f"{told}; it replaces camera_latency = {mine:.3g} s of {robot.name!r}")
     return notes
 
 
 def joints_of(trial: Trial) -> int:
-    """Number of commanded joints, or else of measured ones; 0 without either table."""
+    """Number of commanded joints; without commands, of measured joints; 0 without either table."""
     for table, letter in (("cmd", "c"), ("joint", "j")):
         columns = trial.tables.get(table, {})
         if columns:
@@ -166,7 +166,7 @@ def joints_of(trial: Trial) -> int:
 
 
 def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
-    """Raises ConfigError if null sets were swum by another robot than the questioned model's."""
+    """Raises ConfigError if the null sets are of another robot than the searched model."""
     if not isinstance(null, RecordedNull):
         return
     trial = trials_of(null.bundles[0])[0]
@@ -174,11 +174,11 @@ def null_fits(null: SimulatedNull, robot: Robot, model: object) -> None:
     if joints != robot.n_joints or (name and name != robot.name):
         sets = f"{null.folder}: null sets of {name or 'no robot named'!r} with {joints} joints"
         mine = f"the model {model} is {robot.name!r} with {robot.n_joints}"
-        raise ConfigError(f"{sets}; {mine}. Leave --null out: runs are made anew")
+        raise ConfigError(f"{sets}; {mine}. Leave out --null: the search then makes its own runs")
     differs = differences(load_robot(SHIPPED), robot)
     if differs:
-        sets = f"{null.folder}: its null sets swam as the shipped fish, and {model} differs from it in {', '.join(differs)}"
-        raise ConfigError(f"{sets}; leave --null out: runs of this model are made anew")
+        sets = f"{null.folder}: its null sets are of the shipped fish, and {model} differs in {', '.join(differs)}"
+        raise ConfigError(f"{sets}. Leave out --null: the search then makes its own runs of this model")
 
 
 def differences(one: Robot, other: Robot) -> list[str]:
@@ -196,13 +196,13 @@ def differences(one: Robot, other: Robot) -> list[str]:
 
 
 # -------------------------------------------------------------------------------------------------------------- sufficient data
-FEWEST, SHORTEST, QUIETEST = 2, 2.0, np.radians(1.0)  # records, s, rad of command from end to end
+FEWEST, SHORTEST, QUIETEST = 2, 2.0, np.radians(1.0)  # records, s, rad of command peak to peak
 NEXT = 4  # excitations to suggest
 
 
 @dataclass(frozen=True)
 class InsufficientData:
-    """Reason that nothing can be named. confounded: effects that these records cannot separate. record: excitations to record."""
+    """Reason why no effect can be named. confounded: effects that the records cannot separate. record: experiments to record."""
 
     reason: str
     confounded: tuple[str, ...]
@@ -215,17 +215,17 @@ class InsufficientData:
 
 
 def insufficient_data(given: Taken, robot: Robot) -> InsufficientData | None:
-    """Missing data that prevent a separation of the effects that change the mean of a log; None if nothing is missing."""
+    """Reason why the data cannot separate the effects; None if they can."""
     records = [record_of(t, robot.timing.physics_dt) for t in given.trials.values()]
     moved = max(float(np.ptp(r.commands, 0).max()) for r in records)
     alone = not any(np.any(r.push) or np.any(r.flow) for r in records)
     longest = max(r.seconds for r in records)
     if len(records) < FEWEST:
-        reason = f"too few: {len(records)} record, at least {FEWEST} are needed, one to fit and one to judge"
+        reason = f"too few: {len(records)} record, at least {FEWEST} are needed: one to fit, one to validate"
     elif longest < SHORTEST:
         reason = f"too short: the longest record has {longest:.2f} s, at least {SHORTEST:g} s are needed"
     elif moved < QUIETEST and alone:
-        reason = f"too quiet: commands move by {np.degrees(moved):.2f} deg at most, nothing was pushed and no water flowed"
+        reason = f"too quiet: commands move by {np.degrees(moved):.2f} deg at most, without any push or current"
     else:
         return None
     measured = channels(records)
@@ -250,33 +250,33 @@ UNITS = {
     "path": ((1000.0, "mm"), (100.0, "cm")),
     "power": ((1000.0, "mW"),),
 }
-NEAR = 1.35  # a ratio of amplitudes within this factor of a unit's is that unit
+NEAR = 1.35  # an amplitude ratio within this factor of a unit's factor means that unit
 AGAINST, ALIKE, STILL = -0.6, 0.8, 0.1  # correlations; part of the model's amplitude
-BENT, TURNED, AWAY = 0.35, 0.5, 0.5  # rad of a joint's mean, rad of a path's direction, m from where it was put
-LATE = np.arange(0.02, 0.31, 0.02)  # s by which a joint may follow its own command later than the model's does
-JUMP = 0.4  # rad between two frames, in a tenth of them
-MOVES = {"joint": 0.02, "yaw": 0.05, "path": 0.05, "power": 0.2}  # rad, rad, m, W: less says nothing about a ratio
+BENT, TURNED, AWAY = 0.35, 0.5, 0.5  # rad of a joint's mean error, rad of a path's direction, m from the stated start
+LATE = np.arange(0.02, 0.31, 0.02)  # s, tried extra delays of a joint behind its own command
+JUMP = 0.4  # rad between two frames, in at least a tenth of them
+MOVES = {"joint": 0.02, "yaw": 0.05, "path": 0.05, "power": 0.2}  # rad, rad, m, W: least movement for a meaningful ratio
 
 
 class TooDifferent(FishmjError):
-    """Model and logs are so far apart that a search would only name an imitation of the mistake."""
+    """Model and logs differ so much that a search would only name an effect that imitates a mistake in the data."""
 
     def __init__(self, gap: float, channels: dict[str, float], causes: list[str]):
         parts = ", ".join(f"{name} {value:.3g}" for name, value in channels.items())
         size = f"the residual is {gap:.3g} times the floor (mean square; {parts})"
-        super().__init__(f"{size}: too different to tell what is missing")
+        super().__init__(f"{size}: too large for any missing effect")
         self.gap, self.channels, self.causes = gap, channels, causes
 
     def told(self, json: bool, **more: object) -> int:
-        """Prints the error, as JSON too if that is asked for; returns the exit code."""
-        console.say(str(self), *(f"  {cause}" for cause in self.causes), "search all the same with --anyway")
+        """Prints the error, with `json` also as JSON; returns the exit code."""
+        console.say(str(self), *(f"  {cause}" for cause in self.causes), "to search anyway, add --anyway")
         if json:
             console.emit_json({"reason": str(self), "gap": self.gap, "channels": self.channels, "causes": self.causes} | more)
         return console.CANNOT_TELL
 
 
 class Pair(NamedTuple):
-    """One channel, measured and predicted, each record less its own mean; records end to end."""
+    """One channel, measured and predicted: all records concatenated, each without its mean."""
 
     measured: np.ndarray
     predicted: np.ndarray
@@ -295,9 +295,9 @@ class Pair(NamedTuple):
 
 
 def admit(e: Likelihood, anyway: bool = False) -> None:
-    """Lets a search go on, or raises. anyway: the user has confirmed such a gap.
+    """Refuses a search if the gap is too large. anyway: the user has accepted such a gap.
 
-    Raises TooDifferent: the gap is beyond BEYOND, or beyond FAR with a recognised cause, without confirmation.
+    Raises TooDifferent: the gap is above BEYOND, or above FAR with a recognised cause, and `anyway` is False.
     """
     gap, channels = e.over_floor(e.model.null)
     if anyway or max(gap, *channels.values()) <= FAR:
@@ -305,7 +305,7 @@ def admit(e: Likelihood, anyway: bool = False) -> None:
     causes = likely(e)
     if not causes and gap <= BEYOND:
         return
-    found = TooDifferent(gap, channels, causes or ["no usual cause is recognised; is it the data of this robot?"])
+    found = TooDifferent(gap, channels, causes or ["no usual cause is recognised; are these logs of this robot?"])
     if console.confirmed("\n".join([str(found), *(f"  {c}" for c in found.causes), "Search all the same?"])):
         return
     raise found
@@ -321,11 +321,11 @@ def likely(e: Likelihood) -> list[str]:
     yaws = [r.pose.values[:, 2] for r in e.records if r.pose is not None]
     jump = max((float(np.quantile(np.abs(np.diff(values)), 0.9)) for values in yaws), default=0)
     if jump > JUMP:
-        out.append(f"heading: turns by {jump:.1f} rad from frame to frame: in degrees?")
+        out.append(f"heading: jumps by {jump:.1f} rad from frame to frame: is it in degrees?")
     elif yaw is not None and moves(yaw, "yaw"):
         out += units("heading", yaw, "yaw")
         if yaw.correlation < AGAINST:
-            out.append(f"heading: turns against the model (correlation {yaw.correlation:.2f}): a mirrored yaw or image")
+            out.append(f"heading: opposite to the model (correlation {yaw.correlation:.2f}): mirrored yaw or image?")
     out += of_path(sets)
     power = pair(sets, "power", 0)
     return out + (units("power", power, "power") if power is not None and moves(power, "power") else [])
@@ -362,12 +362,12 @@ def following(sets, i: int) -> float:
 
 
 def moves(p: Pair, kind: str) -> bool:
-    """Returns True if the model moves enough for a meaningful ratio."""
+    """Returns True if the model moves enough for a meaningful amplitude ratio."""
     return float(np.std(p.predicted)) > MOVES[kind]
 
 
 def units(name: str, p: Pair, kind: str) -> list[str]:
-    """Text if the amplitudes have the ratio of two units; else []."""
+    """Likely unit error, if the amplitudes have the ratio of two units; else []."""
     for factor, unit in UNITS[kind]:
         for ratio, text in ((p.ratio, f"in {unit}"), (1 / max(p.ratio, 1e-12), f"divided by {factor:g} once too often")):
             if factor / NEAR < ratio < factor * NEAR:
@@ -378,26 +378,26 @@ def units(name: str, p: Pair, kind: str) -> list[str]:
 def of_joint(i: int, p: Pair | None, joints: list, late: Callable[[], float] = lambda: -1.0) -> list[str]:
     """Likely causes for one joint: unit, sign, order, zero, power.
 
-    late: best correlation with its own delayed prediction. In a gait a joint moves like the one before it, a sixth of a
-    beat later, so a late joint must not be taken for another one.
+    late: best correlation with its own delayed prediction. In a gait each joint moves like the one before it, a sixth of a beat
+    later, so a delayed joint could be mistaken for its neighbour.
     """
     name = f"joint {i + 1}"
     if p is None:
         return []
-    zero = [f"{name}: {np.degrees(p.offset):.0f} deg off on average: its zero"] if abs(p.offset) > BENT else []
+    zero = [f"{name}: {np.degrees(p.offset):.0f} deg off on average: wrong zero?"] if abs(p.offset) > BENT else []
     if not moves(p, "joint"):
         return zero
     out = units(name, p, "joint")
     if p.correlation < AGAINST:
-        against = f"{name}: runs against the model (correlation {p.correlation:.2f}): the sign of its angle or of its command"
+        against = f"{name}: opposite to the model (correlation {p.correlation:.2f}): wrong sign of its angle or its command?"
         return [*out, against]
     if out:
         return out
     if p.ratio < STILL:
-        return [f"{name}: moves {p.ratio:.0%} of what it was told: unpowered, or another column"]
+        return [f"{name}: moves {p.ratio:.0%} of its commanded motion: unpowered, or the wrong column?"]
     across = [-1.0 if q is None or k == i else _across(p, q) for k, q in enumerate(joints)]
     if p.correlation < ALIKE < max(across) and max(across) > p.correlation + 0.2 and late() < max(across):
-        return [f"{name}: follows the command of joint {int(np.argmax(across)) + 1}: the order of the joints"]
+        return [f"{name}: follows the command of joint {int(np.argmax(across)) + 1}: joints in another order?"]
     return zero
 
 
@@ -409,7 +409,7 @@ def _across(p: Pair, other: Pair) -> float:
 
 
 def of_path(sets) -> list[str]:
-    """Likely causes for the path: unit, mirror, rotation of the frame, and start place of the fish."""
+    """Likely causes for the path: unit, mirroring, rotation or origin of the frame."""
     steps, away = [], []
     for record, prediction in sets:
         if record.pose is None:
@@ -421,7 +421,7 @@ def of_path(sets) -> list[str]:
         return []
     measured, predicted = (np.concatenate([s[k] for s in steps]) @ np.array([1.0, 1.0j]) for k in (0, 1))
     far = max(away)
-    origin = [f"position: the fish begins {far:.2g} m from where it was put: another origin of the frame"] if far > AWAY else []
+    origin = [f"position: the fish starts {far:.2g} m from its stated start: another origin of the frame?"] if far > AWAY else []
     sizes = [float(np.sqrt(np.mean(np.abs(path) ** 2))) for path in (measured, predicted)]
     if sizes[1] < MOVES["path"]:
         return origin
@@ -430,7 +430,7 @@ def of_path(sets) -> list[str]:
     straight, mirrored = (np.mean(measured * np.conj(q)) / scale for q in (predicted, np.conj(predicted)))
     out = scaled or origin
     if abs(mirrored) > ALIKE and abs(mirrored) > abs(straight) + 0.2:
-        out.append(f"position: fits the model's mirror image (coherence {abs(mirrored):.2f} in place of {abs(straight):.2f})")
+        out.append(f"position: fits the model's mirror image (coherence {abs(mirrored):.2f}, unmirrored {abs(straight):.2f})")
     elif abs(straight) > ALIKE and abs(np.angle(straight)) > TURNED:
-        out.append(f"position: goes {np.degrees(np.angle(straight)):.0f} deg beside the model's path: a turned frame, or heading")
+        out.append(f"position: path is {np.degrees(np.angle(straight)):.0f} deg off the model's: rotated frame or heading?")
     return out

@@ -1,11 +1,11 @@
-"""Mistakes in the logs of a robot in MJCF that a search would take for effects: order, signs, zeros, clocks, units.
+"""Detects mistakes in the logs of a robot in MJCF that would look like effects: order, signs, zeros, clocks, units.
 
-The described model predicts some segments (records/shooting.py), as logged and as if one mistake were undone:
+The described model predicts some segments (records/shooting.py), once as logged and once with each possible mistake undone:
 
     two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; degrees for radians;
     commands earlier or later; thrusters in another order; of a free base's pose the mistakes of `POSES`
 
-A mistake that explains the logs FAR times better than the logs as they are is one. A search with it would name an imitation.
+A mistake is reported if undoing it reduces the mean square error by a factor FAR. A search would name an effect that imitates it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,25 +26,25 @@ from fishmj.gap.records.attitude import quaternion_rate, rotation_vector
 from fishmj.gap.records.shooting import RobotRecord, thinned
 from fishmj.gap.wording import number
 
-FAR = 3.0  # times smaller mean square error
-CLOSE = 0.01  # mean square error over that of the movement, below which nothing is doubted
+FAR = 3.0  # factor by which the mean square error must fall
+CLOSE = 0.01  # mean square error over that of the movement: below it the logs are not doubted
 PROBED = 16  # segments
-# s that commands come later than logged; to 0.2 an effect
+# s that commands come later than logged; up to 0.2 s it is an effect
 SHIFTS = (-0.5, -0.4, -0.3, -0.2, -0.15, -0.1, -0.06, -0.03, 0.25, 0.3, 0.4, 0.5)
 TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
-OUTSIDE, MARGIN = 0.1, 0.1  # share of the readings beyond a joint's range, and of the range by which they are beyond
+OUTSIDE, MARGIN = 0.1, 0.1  # share of readings outside a joint's range; least excess, as a share of the range
 UNMOVED = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
-MOST_ORDERS = 4  # thrusters of which every order is tried; of more, each pair exchanged
-STILL, TURNED, NOISE = 2e-3, 5e-3, 8.0  # m and rad that a held base moves at most, beyond deviations of its noise
+MOST_ORDERS = 4  # up to so many thrusters every order is tried; with more, only exchanged pairs
+STILL, TURNED, NOISE = 2e-3, 5e-3, 8.0  # m, rad: largest movement of a held base; standard deviations of its noise
 JUMP = 1.5  # rad from one reading to the next
 UNIT = np.log(3.0)  # of the factor by which a log's movement may differ from 180/pi
 
 
-Undone = tuple[str, str, list[RobotRecord]]  # a mistake, its remedy, the records without it
+Undone = tuple[str, str, list[RobotRecord]]  # a possible mistake, its remedy, the corrected records
 
 
 class Mistake(NamedTuple):
-    """A likely mistake: what it is, what undoes it, and the mean square error with it over that without."""
+    """A likely mistake, its remedy, and the ratio of the mean square errors without and with the remedy."""
 
     what: str
     remedy: str
@@ -57,20 +57,20 @@ class Mistake(NamedTuple):
 
 
 def refuse_mistakes(robot: RobotDescription, records: Sequence[RobotRecord], anyway: bool = False) -> None:
-    """Warns of what looks wrong in the logs.
+    """Warns of suspicious readings in the logs.
 
-    Raises LogError: a mistake that explains them far better, unless `anyway`; it names the remedy.
+    Raises LogError: undoing a mistake explains the logs far better, unless `anyway`; the message names the remedy.
     """
     for doubt in doubts(robot, records):
         console.warn(doubt)
     if robot.base and is_held(records):
-        held = "the base stands still in every log, and the model's floats"
+        held = "the base stands still in every log, but the model has a floating base"
         if not anyway:
-            raise LogError(f"{held}: if it was held, weld it in the model (no free joint); if it hovers that well, --anyway")
+            raise LogError(f"{held}: if it was held, weld it in the model (no free joint); if it hovers so well, add --anyway")
         console.warn(held)
     found = mistakes(robot, records, progress.terminal_bar)
     if found and not anyway:
-        raise LogError(f"{found[0].text}. If the logs are right, go on with --anyway")
+        raise LogError(f"{found[0].text}. If the logs are right, add --anyway")
     for mistake in found:
         console.warn(mistake.text)
 
@@ -86,7 +86,7 @@ def is_held(records: Sequence[RobotRecord]) -> bool:
 
 
 def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
-    """Readings beyond a joint's range, jumps that no turn of 2 pi explains, and a joint that never moves."""
+    """Warnings about readings outside a joint's range, jumps that are not multiples of 2 pi, and joints that never move."""
     out, m = [], robot.model
     for j, joint in enumerate(robot.joints, 6 if robot.base else 0):
         q = np.concatenate([r.joint.values[:, j] for r in records])
@@ -94,27 +94,25 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
             low, high = m.jnt_range[joint.joint]
             beyond = np.mean((q < low - MARGIN * (high - low)) | (q > high + MARGIN * (high - low)))
             if beyond > OUTSIDE:
-                message = f"{100 * beyond:.0f} % of its readings are beyond its range, {low:.3g} to {high:.3g}"
-                out.append(f"joint {joint.name}: {message}: another zero, unit or joint? State it in a map, --columns MAP.toml")
+                message = f"{100 * beyond:.0f} % of its readings are outside its range, {low:.3g} to {high:.3g}"
+                out.append(f"joint {joint.name}: {message}: wrong zero, unit or joint? Correct it in a map, --columns MAP.toml")
                 if m.jnt_type[joint.joint] == mujoco.mjtJoint.mjJNT_HINGE and np.degrees(max(abs(low), abs(high))) <= 2 * np.pi:
                     stated = f"{np.degrees(low):.3g} to {np.degrees(high):.3g}"
-                    out[-1] += f'; or the model states {stated} in rad: MJCF takes degrees without <compiler angle="radian"/>'
+                    out[-1] += f'; or the model means {stated} in rad: MJCF reads degrees without <compiler angle="radian"/>'
         if np.ptp(q) == 0 and joint.actuator >= 0 and any(np.ptp(r.commands[:, joint.actuator]) > 0 for r in records):
             out.append(
-                f"joint {joint.name}: always {q[0]:.6g} while its commands change: is its encoder read, or is the joint held?"
+                f"joint {joint.name}: always {q[0]:.6g} while its commands change: is the encoder recorded? Is the joint held?"
             )
         jump = max(
             float(np.abs(np.diff(r.joint.values[:, j])[np.diff(r.joint.t) < r.length / 3]).max(initial=0.0)) for r in records
         )
         if jump > JUMP:
-            out.append(
-                f"joint {joint.name}: jumps by {jump:.3g} rad between two readings: does its encoder wrap at another turn?"
-            )
+            out.append(f"joint {joint.name}: jumps by {jump:.3g} rad between two readings: does its encoder wrap not at 2 pi?")
     return out + in_another_unit(robot, records)
 
 
 def in_another_unit(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
-    """Logs whose hinges and their commands all move 180/pi times as far as those of the other logs, or as little."""
+    """Warnings about logs whose hinges and commands move 180/pi or pi/180 times as far as in the other logs."""
     hinges = [j for j in robot.joints if j.actuator >= 0 and robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE]
     if len(records) < 2 or not hinges or not robot.model.actuator_biasprm[:, 1].any():
         return []
@@ -128,12 +126,12 @@ def in_another_unit(robot: RobotDescription, records: Sequence[RobotRecord]) -> 
         for sign, way, one, other in ((-1, "little", "rad", "deg"), (1, "far", "deg", "rad")):
             if (np.abs(apart - sign * np.log(180 / np.pi)) < UNIT).all():
                 moved = f"joints and commands move {np.exp(np.median(np.abs(apart))):.0f} times as {way} as in the other logs"
-                out.append(f"{r.name}: {moved}: is it in {one}, and they in {other}? Write all in one unit, or leave it out")
+                out.append(f"{r.name}: {moved}: is it in {one} and the others in {other}? Use one unit, or leave this log out")
     return out
 
 
 def mistakes(robot: RobotDescription, records: Sequence[RobotRecord], bars: progress.Bars = progress.silent_bar) -> list[Mistake]:
-    """Likely mistakes, the best first; empty where the model is close to the logs."""
+    """Likely mistakes, the likeliest first; none if the model is close to the logs."""
     few = thinned(list(records), PROBED)
     model = RigidRobot(robot, sizes_of(robot, few), [effects.robot_catalogue()["command_latency"]])
     still, plain = np.maximum(_error(few, None), UNMOVED), _error(few, model)
@@ -149,7 +147,7 @@ def mistakes(robot: RobotDescription, records: Sequence[RobotRecord], bars: prog
     rows[:, model.index("command_latency", "delay")] = SHIFTS
     for shift, error in zip(SHIFTS, _errors(few, model.predict(few, rows)), strict=True):
         late = f"{1000 * abs(shift):.0f} ms {'later' if shift > 0 else 'earlier'}"
-        remedy = "their stamps are on another clock than the positions'; write both with one clock"
+        remedy = "commands and positions have stamps of different clocks; record both with one clock"
         found.append(Mistake(f"commands {late} than logged", remedy, _ratio(plain / still, error / still)))
     return sorted((m for m in found if m.ratio > FAR), key=lambda m: -m.ratio)
 
@@ -159,7 +157,7 @@ def _ratio(plain: np.ndarray, other: np.ndarray) -> float:
 
 
 def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undone]:
-    """Each mistake with its remedy, and the records without it."""
+    """Yields each possible mistake with its remedy and the corrected records."""
     names, numbers = robot.channels, [*([-1] * 6 if robot.base else []), *(j.actuator for j in robot.joints)]
     table = "in a map, --columns MAP.toml"
     yield from _of_thrusters(robot, records, table)
@@ -181,7 +179,7 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undo
             zero[j] = angle
             yield (
                 f"joint {name} turned by {turn}",
-                f"its encoder has another zero; state zero for it {table}",
+                f"its encoder has another zero; state it as zero {table}",
                 _turned(records, zero),
             )
     angles = [robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE for j in robot.joints]
@@ -199,12 +197,12 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undo
         order[i], order[k] = k, i
         pair = f"{names[i]} and {names[k]}"
         swapped = [_ordered(r, order) for r in records]
-        yield f"exchanging the positions of {pair}", f"the joints are in another order; name them {table}", swapped
+        yield f"exchanging the positions of {pair}", f"the joints are in another order; name their columns {table}", swapped
         if numbers[i] >= 0 and numbers[k] >= 0:
             asked = _asked(records, numbers[i], numbers[k], 1.0)
-            yield f"exchanging the commands of {pair}", f"the actuators are in another order; name them {table}", asked
+            yield f"exchanging the commands of {pair}", f"the actuators are in another order; name their columns {table}", asked
             both = _asked(swapped, numbers[i], numbers[k], 1.0)
-            yield f"exchanging {pair}", f"the joints are in another order; name them {table}", both
+            yield f"exchanging {pair}", f"the joints are in another order; name their columns {table}", both
 
 
 def _of_thrusters(robot: RobotDescription, records: list[RobotRecord], table: str) -> Iterator[Undone]:
@@ -241,7 +239,7 @@ YAWED = {
     "a quarter turn back": (HALF, 0.0, 0.0, -HALF),
     "half a turn": (0.0, 0.0, 0.0, 1.0),
 }
-# what is wrong with a base's pose -> (remedy, matrix (4, 4) of its quaternion, matrix (3, 3) of its place) that undo it
+# mistake in a base's pose -> (remedy; matrices that undo it: (4, 4) of its quaternion, (3, 3) of its position)
 POSES = {
     "with its quaternion as x y z w": (
         "qw to qz are columns of another order; name each",
@@ -267,7 +265,7 @@ POSES = {
 
 
 def _posed(r: RobotRecord, turn: np.ndarray, move: np.ndarray) -> RobotRecord:
-    """The record with a linear map of its base's quaternions and one of its places; rates of the turn follow from them."""
+    """The record with linear maps applied to its base's quaternions and positions; angular rates follow from them."""
     rate, growth = r.rates[:, 3:6], r.accelerations[:, 3:6]
     first = quaternion_rate(r.start_turns, rate)
     second = quaternion_rate(first, rate) + quaternion_rate(r.start_turns, growth)
@@ -283,13 +281,13 @@ def _posed(r: RobotRecord, turn: np.ndarray, move: np.ndarray) -> RobotRecord:
 
 
 def _spin(q: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """(S, 3) rad/s in the frame of quaternions (S, 4) of a rate (S, 4): the inverse of `quaternion_rate`."""
+    """(S, 3) angular rate, rad/s, in the frame of quaternions (S, 4), from their rates (S, 4): inverse of `quaternion_rate`."""
     w, v = q[:, :1], q[:, 1:]
     return 2.0 * (w * rate[:, 1:] - rate[:, :1] * v - np.cross(v, rate[:, 1:]))
 
 
 def _of_angles(r: RobotRecord, sign: np.ndarray) -> RobotRecord:
-    """The record with angles, rates and accelerations of each joint times its sign."""
+    """The record with the angles, rates and accelerations of each joint multiplied by its sign."""
     joint = r.joint._replace(values=r.joint.values * sign)
     return r._replace(joint=joint, angles=r.angles * sign, rates=r.rates * sign, accelerations=r.accelerations * sign)
 
@@ -315,7 +313,7 @@ def _asked(records: list[RobotRecord], a: int, b: int, sign: float) -> list[Robo
 
 
 def _error(records: list[RobotRecord], model: RigidRobot | None) -> np.ndarray:
-    """(J,) median over segments of the mean square error of a model; None: of one that stays where it starts."""
+    """(J,) median over segments of the mean square error of a model; with None, of the prediction that nothing moves."""
     if model is not None:
         return _errors(records, model.predict(records, model.null))[0]
     seen = [r.angles[np.searchsorted(r.starts, r.joint.t, side="right") - 1] for r in records]
