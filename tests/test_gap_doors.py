@@ -451,7 +451,7 @@ def test_nothing_is_written_over_by_a_version(tmp_path, logs, capsys):
     (tmp_path / "verdict.json").write_text(json.dumps(report))
     (tmp_path / "fish.v2.toml").write_text("mine")
     assert run("apply", tmp_path) == console.BAD_INPUT
-    assert "nothing is written over" in capsys.readouterr().err and (tmp_path / "fish.v2.toml").read_text() == "mine"
+    assert "exists and is not overwritten" in capsys.readouterr().err and (tmp_path / "fish.v2.toml").read_text() == "mine"
 
 
 @pytest.mark.parametrize(

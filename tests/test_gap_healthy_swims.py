@@ -59,7 +59,7 @@ def test_searched_logs_are_no_healthy_swims(given, says, swims, notes, tmp_path,
     fish = model(tmp_path / "mine.toml")
     assert run(swims.data, "--model", fish, "--healthy", getattr(swims, given)) == console.BAD_INPUT
     said = capsys.readouterr().err.splitlines()[-1]
-    assert says in said and "these are the logs in question" in said and "from before" in said and not notes
+    assert says in said and "give swims recorded before" in said and "anything was wrong" in said and not notes
 
 
 def test_other_swims_are_taken(swims, notes, tmp_path):
@@ -72,5 +72,5 @@ def test_other_swims_are_taken(swims, notes, tmp_path):
 def test_water_calibrated_on_the_searched_logs_is_warned_of(signed, swims, notes, tmp_path, capsys):
     facts = {"source": swims.data.as_posix(), "manifest_sha256": digest(swims.data) if signed else ""}
     assert run(swims.data, "--model", model(tmp_path / "mine.toml", **facts)) == console.CANNOT_TELL
-    said = "may be only what is left over"
+    said = "the search may name only the rest"
     assert said in capsys.readouterr().err and said in notes[0][-1]

@@ -123,7 +123,7 @@ def test_drawn_motions_go_beyond_those_of_the_logs_within_the_limits(pendulum):
 def test_apply_takes_what_is_the_same_for_an_error_of_a_sensor(arm, tmp_path):
     late = named("joint_sensor_delay", delay=0.02) | {"same": {"clock_drift": {}, "command_latency": {"delay": {"value": 0.02}}}}
     told = apply_robot(tmp_path, verdict_of(arm[0].robot, "NAMED", late), None, False)
-    assert "command latency stands for joint sensor delay, the same on this robot, which MJCF does not hold" in told["reason"]
+    assert "MJCF has no joint sensor delay: command latency, equivalent on this robot, is written" in told["reason"]
     assert read_robot(told["path"]).delays.tolist() == [0.02, 0.02]
 
 

@@ -153,7 +153,7 @@ def test_report_without_values_is_answered_with_its_own_advice(tmp_path, capsys)
 def test_nothing_is_left_to_decide_after_a_name(tmp_path, capsys):
     (tmp_path / "verdict.json").write_text(json.dumps({"answer": "NAMED", "effects": [], "rivals": []}))
     assert next_experiment.main([str(tmp_path)]) == 0
-    assert "no experiment has to decide" in capsys.readouterr().out
+    assert "nothing to separate" in capsys.readouterr().out
 
 
 def test_an_unknown_experiment_is_refused(plant):

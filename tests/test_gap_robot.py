@@ -440,7 +440,7 @@ def test_logs_with_contact_are_refused(folder, records, tmp_path):
 
 
 def test_apply_refuses_an_encoder_as_mjcf(arm, tmp_path):
-    with pytest.raises(ConfigError, match="reading of the logs"):
+    with pytest.raises(ConfigError, match="correct it in the logs"):
         apply_robot(tmp_path, verdict_of(arm, "NAMED", named("joint_zero_offset@shoulder", offset=0.04)), None, False)
 
 
@@ -457,7 +457,7 @@ def test_report_on_a_robot_is_checked_before_use(arm, tmp_path):
     (tmp_path / "verdict.json").write_text(json.dumps(verdict))
     with pytest.raises(ConfigError, match="effects.0.parameters.torque.value"):
         reported.robot_verdict(tmp_path)
-    with pytest.raises(ConfigError, match="gap apply takes"):
+    with pytest.raises(ConfigError, match="use fishmj gap apply"):
         reported.verdict(tmp_path, context=False)
 
 

@@ -384,7 +384,7 @@ def test_next_experiment_separates_what_differs_and_not_what_is_the_same(arm, tm
         assert next_experiment.main([str(report), "--runs", "holds,multisine", "--seconds", "4", "--json"]) == 0
         found = said(capsys)
         best.append(found["experiments"][0]["sigma"])
-    assert best[0] > 10.0 and best[1] < 1.0 and "none decides" in found["advice"]
+    assert best[0] > 10.0 and best[1] < 1.0 and "no experiment decides" in found["advice"]
 
 
 def test_next_experiment_writes_commands_that_tell_the_numbers(arm, tmp_path, capsys):

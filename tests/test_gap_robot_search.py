@@ -194,7 +194,7 @@ def test_interrupted_search_goes_on_with_its_null_runs_and_torques(folder, arm, 
     np.testing.assert_array_equal(*null.kept.values(), anew)
     with pytest.raises(ZeroDivisionError):  # other settings are another search
         go_on(RobotNull(8, seed=1))
-    assert str(tmp_path / "null") in find_robot.words() and "the same command goes on with those" in find_robot.words()
+    assert str(tmp_path / "null") in find_robot.words() and "the same command continues from them" in find_robot.words()
 
 
 def test_page_shows_the_answer(sticky, tmp_path):

@@ -1,12 +1,12 @@
 """`gap apply REPORT`: the next version of the model, from what a search found; `--revert MODEL` goes back.
 
-REPORT is the folder (or verdict.json) of gap find --out. Written: <fish>.v<N>.toml with the effects, their intervals, the data's
-hash, gates and rivals; its parent's text beside it; a .diff of the MJCF if MuJoCo itself can hold an effect. Nothing is
-overwritten. Only a NAMED effect that closes the gap on the judging records becomes a version. Any other candidate is kept as
-model.rejected-<hash>.toml with its scores, and the exit code is 1.
+REPORT is the folder (or verdict.json) of gap find --out. The command writes <fish>.v<N>.toml (the effects, their intervals, the
+data's hash, gates and rivals), a copy of its parent beside it, and a .diff of the MJCF if MuJoCo has an attribute for an effect.
+It overwrites nothing. Only a NAMED effect that closes the gap on the judging records becomes a version. Any other candidate
+is kept as model.rejected-<hash>.toml with its scores, and the exit code is 1.
 
-Of a robot in MJCF <robot>.v<N>.xml is the description's own text, in which attributes changed for the effects that are NAMED
-each; gap check judges it. MuJoCo writes it anew where the text cannot hold them: a URDF, parts of an included file.
+For a robot in MJCF, <robot>.v<N>.xml is the text of the description with changed attributes, for the effects that are NAMED
+individually; gap check tests it. MuJoCo rewrites the file if the text cannot hold the effects: a URDF, parts of an included file.
 
     fishmj gap apply report --out my_fish.v2.toml
 """
@@ -30,8 +30,8 @@ from fishmj.gap.wording import level, pair, title
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED
 
-UNSEEN = "records that nothing was fitted to"
-HELD_OUT = "the held-out fold, which the last fit saw: there were too few records to set some aside"
+UNSEEN = "records set aside"
+HELD_OUT = "the first fold, which the last fit used: there were too few records to set some aside"
 
 
 class ApplyOutcome(NamedTuple):
@@ -46,7 +46,7 @@ class ApplyOutcome(NamedTuple):
     gap_before: "float | None" = None
     gap_after: "float | None" = None
     mjcf: str = ""  # unified diff
-    hooks: tuple[str, ...] = ()  # effects that no attribute of MJCF holds
+    hooks: tuple[str, ...] = ()  # effects without an attribute in MJCF
 
 
 def main(argv: list[str]) -> int:
@@ -54,25 +54,25 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap apply", __doc__ or "")
     add = parser.add_argument
     add("report", nargs="?", type=console.path, help="folder or verdict.json of gap find --out")
-    out = "the next version, a .toml that is not there yet; default <fish>.v<N>.toml beside the report"
+    out = "new .toml file for the next version; default <fish>.v<N>.toml beside the report"
     add("--out", type=console.out_file, help=out)
-    add("--data", type=console.path, help="the data set, when it is no longer where the search read it; default, there")
-    add("--force", action="store_true", help="also an answer that is not NAMED, or a patch that does not close the gap")
-    counted = "also effects that were fitted beside the named ones and are too small a part of the gap to be named (default: no)"
+    add("--data", type=console.path, help="the data set, if it was moved since the search (default: where the search read it)")
+    add("--force", action="store_true", help="accept also an answer that is not NAMED, or a patch that does not close the gap")
+    counted = "also apply effects that were fitted with the named ones but are too small to be named (default: no)"
     add("--counted-in", action="store_true", help=counted)
-    back = "put the parent's text back in the place of this version (default none)"
+    back = "replace this version by its parent (default none)"
     add("--revert", type=console.path, metavar="MODEL", help=back)
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
     gap_options.there(args.report, args.data, args.revert)
     if (args.report is None) == (args.revert is None):
-        raise ConfigError("gap apply: give a report, or --revert MODEL, one of the two")
+        raise ConfigError("gap apply: give either a report or --revert MODEL")
     if args.revert and is_robot(args.revert):
-        raise ConfigError(f"gap apply: {args.revert}: the description that was searched is as it was; nothing is to be reverted")
+        raise ConfigError(f"gap apply: {args.revert}: the searched description was not changed; there is nothing to revert")
     if args.revert:
         aside = model_version.revert(args.revert)
-        console.say(f"{args.revert} is its parent again; the version is kept as {aside}")
+        console.say(f"{args.revert} is now its parent; the version is kept as {aside}")
         return console.OK
     from fishmj.gap.commands import reported
 
@@ -86,7 +86,7 @@ def main(argv: list[str]) -> int:
     if written.mjcf:
         console.say(written.mjcf.rstrip("\n"))
     if written.hooks:
-        console.say(f"held by fishmj's hooks, no attribute of MJCF: {', '.join(map(title, written.hooks))}")
+        console.say(f"without an attribute in MJCF, only in fishmj: {', '.join(map(title, written.hooks))}")
     if written.accepted and written.path:
         words = ["fishmj", "gap", "check", str(written.path), "--data", str(args.data or "DATA")]
         words = check_command(args.report, verdict, written.path, args.data) if verdict else words
@@ -113,7 +113,7 @@ def apply(
     verdict = reported.verdict(report, context=True)
     context, folder = verdict["context"], reported.verdict_file(report).parent
     if model_version.digest(context["model"]) != context["model_sha256"]:
-        raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the model it questioned")
+        raise ConfigError(f"{context['model']}: changed since the search; search again, or restore the searched model")
     robot = load_robot(context["model"])
     admission.searchable(robot, context["model"])
     data = Path(context["data"]) if data is None else data
@@ -121,10 +121,10 @@ def apply(
         raise ConfigError(f"{data}: not the data set of the search; its manifest's sha256 differs from {context['data_sha256']}")
     out = model_version.next_name(context["model"], folder) if out is None else out
     if out.suffix != ".toml":
-        raise ConfigError(f"{out}: a model is a .toml file; choose such a name with --out")
+        raise ConfigError(f"{out}: a model is a .toml file; choose a .toml name with --out")
     for path in (out, model_version.beside(out)):
         if path.exists():
-            raise ConfigError(f"{path}: exists, and nothing is written over; choose another name with --out")
+            raise ConfigError(f"{path}: exists and is not overwritten; choose another name with --out")
     null = null_of(context["null"])
     admission.null_fits(null, robot, context["model"])
     given = (trials_named(data, context["judged"]), null, context.get("water", STRUCTURED))
@@ -163,7 +163,7 @@ def settle(
         good, reason = verdict_on(answer, (before, after), (judged, closed), (floor, left), which)
         if beside and not counted_in:
             minor = " and ".join(title(e["name"]) for e in beside)
-            reason += f"; the gap on the records searched is that with {minor}, which --counted-in adds"
+            reason += f"; the gap on the records searched includes {minor}, which --counted-in adds"
         if good or force:
             model_version.write(context["model"], out, effects, table)
             from fishmj.gap.commands.mjcf_patch import difference, hooked
@@ -179,15 +179,15 @@ def settle(
 
 
 def verdict_on(answer: str, told: tuple, judged: tuple, over_floor: tuple, which: str = UNSEEN) -> tuple[bool, str]:
-    """Decides whether a candidate becomes a version, with the reason.
+    """(accepted, reason) for a candidate.
 
     Args:
-        told: the gap of the verdict; judged, over_floor: gap and residual on the judging records, in words `which`. All are
-            (before, after).
+        told: gap of the verdict; judged, over_floor: gap and residual on the judging records; each is (before, after).
+        which: words for the judging records.
     """
     moved = f"{pair(*told)} on the records searched"
     if answer != "NAMED":
-        return False, f"{answer}: no effect explains the gap for certain ({moved})"
+        return False, f"{answer}: no effect certainly explains the gap ({moved})"
     for what, (before, after) in (("residual", over_floor), ("gap", judged)):
         if not after < before:
             return False, f"the patch hurts: on {which} the {what} is {level(after / before)} times what it was"

@@ -1,6 +1,6 @@
 """`gap apply REPORT` for a robot in MJCF: the named effects as fields of its next version, <robot>.v<N>.xml.
 
-What no field holds comes beside it as a module that MuJoCo calls back, <robot>_v<N>_effects.py.
+Effects that no field of MJCF holds go into <robot>_v<N>_effects.py beside it, a module with a callback for MuJoCo.
 """
 
 import copy
@@ -26,7 +26,7 @@ from fishmj.gap.wording import level, pair, title
 
 
 def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool, counted_in: bool = False) -> dict:
-    """Writes the next version. verdict: of verdict.json with its context; others: as `apply`. Returns what `gap apply` tells.
+    """Writes the next version. verdict: of verdict.json with its context; others: as for `apply`. Returns the command's result.
 
     Raises:
         ConfigError: the description changed since the search, an effect of a sensor, or a file exists.
@@ -37,9 +37,7 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool, coun
     told = {"path": None, "accepted": False, "gap_before": verdict["gap_before"], "gap_after": verdict["gap_after"], "mjcf": ""}
     if not named:
         why = (
-            "no effect explains the gap for certain; --force adds the tentative ones"
-            if verdict["effects"]
-            else "no effect to add"
+            "no effect certainly explains the gap; --force adds the tentative ones" if verdict["effects"] else "no effect to add"
         )
         return told | {"reason": f"{answer}: {why}; {path.name} stays as it is"}
     beside = verdict.get("tentative", []) if answer == "NAMED" else []  # fitted with the named ones
@@ -50,10 +48,10 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool, coun
     version = out or next_version(path, verdict_file(report).parent)
     module = version.with_name(f"{stem_of(version.name)}.py")
     if version.suffix != ".xml":
-        raise ConfigError(f"{version}: a version of a robot is an .xml file; choose such a name with --out")
+        raise ConfigError(f"{version}: a version of a robot is an .xml file; choose an .xml name with --out")
     for there in (version, *([module] if beyond.names else [])):
         if there.exists():
-            raise ConfigError(f"{there}: exists, and nothing is written over; choose another name with --out")
+            raise ConfigError(f"{there}: exists and is not overwritten; choose another name with --out")
     names = ", ".join(title(e["name"]) for e in held)
     origin = f"{answer} by fishmj gap find, MuJoCo {mujoco.__version__}: {names}; parent {path.name}"
     written = next_mjcf(robot, m, delay, version, origin)
@@ -63,23 +61,21 @@ def apply_robot(report: Path, verdict: dict, out: Path | None, force: bool, coun
     if left := [e["name"] for e in (*verdict["effects"], *beside) if e not in named]:
         told |= {"gap_before": None, "gap_after": None}
         why = "counted in with --counted-in" if beside else "not certain"
-        reason = f"without {', '.join(map(title, left))}, {why}: what the rest closes was not measured; gap check does"
+        reason = f"without {', '.join(map(title, left))}, {why}: the gap without them was not measured; gap check does"
     else:
         reason = f"{pair(verdict['gap_before'], verdict['gap_after'])} on the records searched"
     if not left and (floors := verdict["over_floor"].get("searched")):
-        reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} floors"
+        reason += f"; the residual falls from {level(floors[0])} to {level(floors[1])} times the floor"
     for one, other in zip(named, held, strict=True):
         if one is not other:
-            reason += (
-                f"; {title(other['name'])} stands for {title(one['name'])}, the same on this robot, which MJCF does not hold"
-            )
+            reason += f"; MJCF has no {title(one['name'])}: {title(other['name'])}, equivalent on this robot, is written"
     if beyond.names:
-        reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, which no field of MuJoCo holds"
+        reason += f"; {module.name} beside it adds {', '.join(map(title, beyond.names))}, for which MuJoCo has no field"
     return told | {"path": version, "accepted": True, "reason": f"{reason}; {written.how}", "mjcf": written.diff}
 
 
 def check_command(report: Path, verdict: dict, version: Path, data: Path | None) -> list[str]:
-    """Words of the command that compares a version with its parent, on the logs of the search unless others are given."""
+    """Words of the command that compares a version with its parent; data: default, the logs of the search."""
     context = verdict["context"]
     words = ["fishmj", "gap", "check", str(version), "--data", str(data or context.get("data") or "LOGS")]
     beside = version.resolve().parent == verdict_file(report).parent.resolve()
@@ -88,7 +84,7 @@ def check_command(report: Path, verdict: dict, version: Path, data: Path | None)
 
 
 def held_by_mjcf(effect: dict) -> dict:
-    """The effect, or in place of an error of a sensor or a clock the first that is the same on the robot and is none."""
+    """The effect; for an error of a sensor or a clock, the first equivalent effect of the robot itself."""
     if not of_logs(effect["name"].partition(AT)[0]):
         return effect
     for name, values in effect.get("same", {}).items():
@@ -99,7 +95,7 @@ def held_by_mjcf(effect: dict) -> dict:
 
 
 def of_logs(kind: str) -> bool:
-    """Returns True for an error of a sensor or a clock, which belongs into the reading of the logs."""
+    """Returns True for an error of a sensor or a clock, which must be corrected in the logs."""
     known = effects.robot_catalogue().get(kind)
     form = known.robot if known else None
     if known is None or form is None:
@@ -115,13 +111,13 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, Bey
         name, _, site = effect["name"].partition(AT)
         known = effects.robot_catalogue().get(name)
         if known is None or known.robot is None:
-            raise ConfigError(f"{name!r} is no effect of a robot in MJCF; known: {', '.join(effects.robot_catalogue())}")
+            raise ConfigError(f"{name!r} is not an effect of a robot in MJCF; known: {', '.join(effects.robot_catalogue())}")
         if set(effect["parameters"]) != {p.name for p in known.robot.parameters} or site not in robot.sites(known.robot.site):
             raise ConfigError(f"{effect['name']!r}: not an effect of {robot.path.name} with its parameters; search again")
         p = SimpleNamespace(**{key: float(value["value"]) for key, value in effect["parameters"].items()})
         if of_logs(name):
             kind = "a sensor" if known.robot.reading is not None else "a clock"
-            raise ConfigError(f"{title(effect['name'])}: an error of {kind} belongs into the reading of the logs, not into MJCF")
+            raise ConfigError(f"{title(effect['name'])}: an error of {kind} cannot be written into MJCF; correct it in the logs")
         if known.robot.law is not None:
             beyond.laws.setdefault(site, {})[name] = tuple(getattr(p, x.name) for x in known.robot.parameters)
         if known.robot.command is not None:
@@ -137,7 +133,7 @@ def changed(robot: RobotDescription, named: list[dict]) -> tuple[Any, float, Bey
 
 
 def next_version(path: Path, folder: Path) -> Path:
-    """<robot>.v<N>.xml in a folder: the version after that of the description."""
+    """<robot>.v<N>.xml in a folder: the version after the description's own."""
     stem, number = path.stem, 1
     if found := re.fullmatch(r"(.*)\.v(\d+)", stem):
         stem, number = found.group(1), int(found.group(2))

@@ -1,7 +1,7 @@
-"""`gap check MODEL --data DATA`: does a version of a model still close the gap that it was written for?
+"""`gap check MODEL --data DATA`: tests whether a version of a model still closes its gap.
 
-Replays the records on which its gap was stated, with the version and with its parent. Exit 1 if the version is worse than
-stated (by more than 5 %), or no better than its parent. On another data set all records are used and only the parent counts.
+Replays the records of its stated gap with the version and with its parent. The exit code is 1 if the version is more than 5 %
+worse than stated, or no better than its parent. On another data set all records are used, and only the parent is compared.
 
     fishmj gap check my_fish.v2.toml --data DATA
 """
@@ -25,16 +25,16 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import STRUCTURED, as_described
 
-SLACK = 1.05  # of the gap stated: float32 files of null runs, another machine's round-off
+SLACK = 1.05  # tolerated ratio to the stated gap: float32 files of null runs, another machine's round-off
 
 
 def main(argv: list[str]) -> int:
     """The command `gap check`. Returns the exit code."""
     parser = console.parser("gap check", __doc__ or "")
     parser.add_argument("model", type=console.path, help="a version that gap apply or gap find wrote")
-    parser.add_argument("--data", type=console.path, required=True, help="data set to replay (needed)")
+    parser.add_argument("--data", type=console.path, required=True, help="data set to replay (required)")
     gap_options.of_robot(parser.add_argument)
-    parent = "of a robot in MJCF: the description that it was made from; default: by verdict.json beside it"
+    parent = "for a robot in MJCF: the description of which it is a version (default: from verdict.json beside it)"
     parser.add_argument("--parent", type=console.path, metavar="ROBOT.xml", help=parent)
     gap_options.of_columns(parser.add_argument)
     own_effects.option(parser)
@@ -61,17 +61,17 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
 
     agreed: accept logs of another robot's name.
 
-    Raises ConfigError: no version table, or the parent's text is gone; LogError: a record that cannot be read, another robot.
+    Raises ConfigError: no version table, or the parent's text is missing; LogError: a record that cannot be read, another robot.
     """
     from fishmj.gap.commands import reported
 
     stated = model_version.facts(model)
     if not stated:
-        raise ConfigError(f"{model}: no table [version]; gap check replays versions that gap apply wrote")
+        raise ConfigError(f"{model}: no table [version]; gap check takes versions that gap apply wrote")
     stated = reported.version(stated, model)
     parent = model_version.parent_of(model, stated)
     if not parent.is_file() or model_version.digest(parent) != stated["parent_sha256"]:
-        raise ConfigError(f"{model}: its parent's text {parent} is gone or changed; write the version again with gap apply")
+        raise ConfigError(f"{model}: its parent {parent} is missing or changed; write the version again with gap apply")
     same = digest(data) == stated.get("data_sha256")
     robot, null = load_robot(model), null_of(stated["null"])
     admission.searchable(robot, model)
@@ -83,11 +83,11 @@ def check(model: Path, data: Path, agreed: bool = False) -> dict:
     was = stated["judged_gap"][1]
     limit, worse = SLACK * was, ""
     if same and after > limit:
-        worse = f"gap {level(after)} on {len(trials)} records, stated was {level(was)}"
+        worse = f"gap {level(after)} on {len(trials)} records, more than the stated {level(was)}"
     elif after >= before:
         worse = f"gap {level(after)} on {len(trials)} records, no smaller than its parent's {level(before)}"
     elif left >= floor:
-        worse = f"residual {level(left)} floors on {len(trials)} records, no smaller than its parent's {level(floor)}"
+        worse = f"residual {level(left)} times the floor on {len(trials)} records, no smaller than its parent's {level(floor)}"
     return {
         "model": str(model), "records": len(trials), "same_data": same, "gap_parent": before, "gap": after,
         "stated": was, "by_channel": channels, "worse": worse, "notes": notes,
@@ -103,9 +103,9 @@ def gaps(
     """
     bare = [replace(robot, effects=(), name=versions[0].name) for robot in versions]
     if any(robot != bare[0] for robot in bare):
-        raise ConfigError("gap check: the versions differ in more than their effects; their gaps do not compare")
+        raise ConfigError("gap check: the versions differ in more than their effects, so their gaps cannot be compared")
     if not trials:
-        raise LogError("gap check: no records to judge on; the data set holds none of those that the version names")
+        raise LogError("gap check: the data set has none of the judging records of the version; give that of its search")
     listed = dict.fromkeys(fitted.name for robot in versions for fitted in robot.effects)
     model = SwimmingFish(as_described(bare[0], water), [e for e in map(effects.get, listed) if not e.stochastic])
     evidence = likelihood_of(model, model.records(trials), null)
@@ -115,6 +115,6 @@ def gaps(
 def measured(e: Likelihood, rows: list) -> list[tuple[float, dict, float]]:
     """(gap, gap by channel, residual over the floor) of parameter rows.
 
-    The gap allows for the model error of a formula, the floor does not: both must shrink.
+    The covariance of the gap includes the model error of the formulas, the floor does not: both must shrink.
     """
     return [(*e.gap_there(row), e.over_floor(row)[0]) for row in rows]

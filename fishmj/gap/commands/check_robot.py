@@ -1,7 +1,7 @@
 """`gap check VERSION.xml --data LOGS` for a robot in MJCF: the gap of a version and of its parent, on logs set aside.
 
-The parent is --parent, or the model that verdict.json beside the version names. On the data of that search only logs that took no
-part in it count, or the first fold if there were too few to set some aside; on other data all logs.
+The parent is --parent, or the model that verdict.json beside the version names. On the data of that search only the logs set
+aside count, or the first fold if there were too few to set some aside; on other data all logs.
 
 gap       mean square of the residual over the parent's floor: its constants within their tolerances, noise, errors of the starts
 interval  90 %, of the ratio of both gaps: Bayesian bootstrap (Rubin 1981) over logs, or over segments of fewer than FEW logs
@@ -53,7 +53,7 @@ class Ratio(NamedTuple):
 def check_robot(args: Any) -> dict:
     """Answers the command: both gaps, by joint too, and the reason of a failure ("" without one). args: of `gap check`.
 
-    Raises ConfigError: no parent, a parent that changed, or one with other joints; LogError: no log left to judge on.
+    Raises ConfigError: no parent, a parent that changed, or one with other joints; LogError: no judging log is left.
     """
     refuse_fish_options(args, "gap check")
     context = _searched(args.model) if args.parent is None else None
@@ -62,7 +62,7 @@ def check_robot(args: Any) -> dict:
     for kind, of in (("joint", lambda r: r.channels), ("actuator", lambda r: r.sites("actuator"))):
         if of(parent) != of(version):
             names = " and ".join(f"{r.path} ({', '.join(of(r))})" for r in (parent, version))
-            raise ConfigError(f"gap check: {kind}s differ between {names}; name the description that the version was made from")
+            raise ConfigError(f"gap check: {kind}s differ between {names}; name the description of which it is a version")
     files = log_files(args.data)
     columns = columns_of(args, parent, files)
     same = context is not None and logs_digest(files) == context.data_sha256
@@ -70,7 +70,7 @@ def check_robot(args: Any) -> dict:
     if same and context is not None:
         trials = [trial for trial in trials if trial.name in context.judged]
         if not trials:
-            raise LogError(f"{args.data}: holds none of the logs that the search set aside: {', '.join(context.judged)}")
+            raise LogError(f"{args.data}: has none of the logs that the search set aside: {', '.join(context.judged)}")
     for name, why in broken.items():
         console.warn(f"{name} left out: {why}")
     records = robot_records(trials, parent.dt, parent.channels)
@@ -89,7 +89,7 @@ def _searched(version: Path) -> Any:
         raise ConfigError(f"gap check: no verdict.json of a robot beside {version}; name its parent with --parent robot.xml")
     context = reported.RobotContext.model_validate(found["context"])
     if not Path(context.model).is_file() or sha256(Path(context.model)) != context.model_sha256:
-        raise ConfigError(f"{context.model}: changed since the search, or gone; name the version's parent with --parent")
+        raise ConfigError(f"{context.model}: missing or changed since the search; name the version's parent with --parent")
     return context
 
 
@@ -110,8 +110,8 @@ def compare(parent: RobotDescription, version: RobotDescription, records: list) 
         worse = f"gap {level(gaps[1])} on {len(records)} logs, no smaller than its parent's {level(gaps[0])}"
     left = ""
     if gaps[1] > frozen().adequacy:
-        left = f"gap {level(gaps[1])}: more is left than tolerances and noise explain (up to {level(frozen().adequacy)})"
-    doubt = f"the interval of the ratio holds 1: {len(record)} segments do not tell" if ratio.low < 1.0 < ratio.high else ""
+        left = f"gap {level(gaps[1])}: above {level(frozen().adequacy)}, the most that tolerances and noise explain"
+    doubt = f"the interval of the ratio contains 1: {len(record)} segments cannot decide" if ratio.low < 1.0 < ratio.high else ""
     result = {
         "gap_parent": gaps[0],
         "gap": gaps[1],
@@ -125,7 +125,7 @@ def compare(parent: RobotDescription, version: RobotDescription, records: list) 
 
 
 def by_segment(layout: ResidualLayout, squared: np.ndarray) -> np.ndarray:
-    """(S,) mean of squares (m,) over each segment of all records, every channel alike."""
+    """(S,) mean of squares (m,) over each segment of all records; channels have equal weight."""
     out = []
     for i, record in enumerate(layout.records):
         whole, count = np.zeros(len(record.starts)), np.zeros(len(record.starts))
@@ -150,9 +150,9 @@ def ratio_of(before: np.ndarray, after: np.ndarray, record: np.ndarray) -> Ratio
 
 def printed_lines(found: dict) -> list[str]:
     """Lines for a terminal."""
-    whose = "logs of the search, outside its decisions or its fits" if found["same_data"] else "logs"
+    whose = "logs that the search set aside" if found["same_data"] else "logs"
     rows = [{"joint": n, "RMS of the parent [rad, m]": a, "RMS [rad, m]": b} for n, (a, b) in found["by_joint"].items()]
     notes = [found[key] for key in ("left", "doubt") if found[key]]
     seconds = assumed("segments")["length"]
-    over = f"{len(found['logs'])} {whose}, segments of {seconds:g} s; 1 is what the description's tolerances leave"
+    over = f"{len(found['logs'])} {whose}, segments of {seconds:g} s; 1: within the description's tolerances"
     return [f"{found['text']}; {over}", console.table(rows), *notes]

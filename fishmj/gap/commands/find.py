@@ -1,9 +1,9 @@
-"""`gap find DATA`: which effect is missing in the model, how large it is, what else it could be, and how far the gap closes.
+"""`gap find DATA`: the effect that the model lacks, with its size, its rivals and the gap before and after.
 
     fishmj gap find DATA --model my_fish.toml --out report
     fishmj gap find LOGS --model robot.xml --out report        a robot in MJCF or URDF, or menagerie:NAME
 
-LOGS, of such a robot: a folder of CSV, Parquet, .npz, MCAP or rosbag2, or a LeRobot data set; one a log.
+LOGS of such a robot: a folder of CSV, Parquet, .npz, MCAP or rosbag2 files, one per log, or a LeRobot data set.
 
 MAP.toml of --columns, for such a robot: time = "t"; [joint] elbow = { column = "q2", unit = "deg" }; [actuator] elbow = "tau2"
 
@@ -46,27 +46,25 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap find", __doc__)
     add = parser.add_argument
     forms = "a folder of trial folders (fishmj.log import makes one), or a bundle (.npz)"
-    data = f"data set: {forms}; measurements.toml in the folder (docs/search/logs.md) is what was weighed"
+    data = f"data set: {forms}; measurements.toml in it holds the weighings (docs/search/logs.md)"
     add("data", type=console.path, help=data)
-    model = "the model to question: shipped name or TOML file of a fish, with its effects (default fish); MJCF or URDF of a robot"
+    model = "the model to search: shipped name or TOML file of a fish (default fish); MJCF or URDF of a robot"
     add("--model", type=console.text, default="fish", help=model)
     gap_options.of_robot(add)
-    water = (
-        "a fitted water without a learnt force in place of the model's own, such as swift-base (default structured: as described)"
-    )
+    water = "replace the model's water by a fitted one without a learnt force, such as swift-base (default structured: keep it)"
     add("--water", type=console.text, default="structured", help=water)
-    nulls = "folder of null sets (data/gap/lbm/nulls: of the flow solver); default, runs made anew"
+    nulls = "folder of recorded null sets, such as data/gap/lbm/nulls of the flow solver (default: simulate new null runs)"
     add("--null", type=console.path, metavar="FOLDER", help=nulls)
-    swum = "healthy swims, those that the water was calibrated to: what they leave tells how much of a gap is usual"
+    swum = "the healthy swims that the water was calibrated to; their misfit sets the usual gap of this robot"
     add("--healthy", type=console.path, metavar="DATA", help=f"{swum} (default none)")
     out = "folder for report.html, verdict.json and model.patched.toml (or model.rejected-*.toml); default none"
     add("--out", type=console.out_folder, help=out)
     gap_options.of_mass(add)
     gap_options.of_null(add)
-    most = f"effects to add at most, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
-    most += "; one kind at many joints is one"
+    most = f"largest number of effects to add, 1 to {gap_options.MOST_EFFECTS} (default {frozen().max_effects})"
+    most += "; one kind at many joints counts once"
     add("--most", type=console.whole(1, gap_options.MOST_EFFECTS), default=None, metavar="N", help=most)
-    add("--anyway", action="store_true", help="search even where model and logs are too different to tell")
+    add("--anyway", action="store_true", help="search although model and logs differ too much")
     gap_options.of_columns(add)
     gap_options.of_written_map(add)
     own_effects.option(parser)
@@ -77,9 +75,7 @@ def main(argv: list[str]) -> int:
         gap_options.there(args.columns, args.data)
         return find(args)
     if args.write_map:
-        raise ConfigError(
-            f"gap find: --write-map is of robots in MJCF; fishmj log import writes the map of a fish ({args.model})"
-        )
+        raise ConfigError(f"gap find: --write-map is for robots in MJCF; for a fish ({args.model}) use fishmj log import")
     args.null = args.null and shipped(args.null)
     gap_options.there(args.null, args.healthy, args.data if left_out(args.data) else None)
     own_effects.join(args.effects)
@@ -113,7 +109,7 @@ def main(argv: list[str]) -> int:
 
 def words() -> str:
     """Message of an interrupted search."""
-    return f"{cache_folder() / 'null'} holds the null runs that were finished; the same command begins with those"
+    return f"{cache_folder() / 'null'} holds the finished null runs; the same command continues from them"
 
 
 def swims(args, robot: Robot) -> list[Trial]:
@@ -128,15 +124,15 @@ def swims(args, robot: Robot) -> list[Trial]:
 
 
 def refuse_shared(args, healthy: Sequence[Trial], given: Taken) -> None:
-    """Raises LogError if swims of --healthy are among the searched trials: a gap would count as usual."""
+    """Raises LogError if swims of --healthy are among the searched trials: their gap would count as usual."""
     searched = {readings_sha256(trial): name for name, trial in given.trials.items()}
     both = [f"{t.name} ({searched[h]} of {args.data})" for t in healthy if (h := readings_sha256(t)) in searched]
     if both:
         number = f"{len(both)} of {len(healthy)} trials have the readings of searched ones: {', '.join(both[:3])}"
         more = ", .." if len(both) > 3 else ""
         raise LogError(
-            f"gap find: --healthy {args.healthy}: {number}{more}; these are the logs in question; expected swims from before"
-            " anything was wrong, in a folder of their own"
+            f"gap find: --healthy {args.healthy}: {number}{more}; give swims recorded before"
+            " anything was wrong, in a separate folder"
         )
 
 
@@ -148,8 +144,8 @@ def absorbed(args, given: Taken) -> tuple[str, ...]:
     if not same:
         return ()
     note = (
-        f"the water of {args.model} was calibrated on the searched data ({args.data}): the calibration has absorbed what it could"
-        " of a missing effect, and what is named may be only what is left over; search logs that it was not calibrated on"
+        f"the water of {args.model} was calibrated on the searched data ({args.data}): the calibration has absorbed part"
+        " of a missing effect, and the search may name only the rest; search logs that it was not calibrated on"
     )
     console.warn(note)
     return (note,)
@@ -158,7 +154,7 @@ def absorbed(args, given: Taken) -> tuple[str, ...]:
 def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = ()) -> Inquiry:
     """Searches the admitted trials. healthy: swims of the water's calibration.
 
-    Raises TooDifferent: model and logs are further apart than by any missing effect.
+    Raises TooDifferent: the gap is larger than any missing effect explains.
     """
     from fishmj.gap.models.swimming_fish import SwimmingFish
 
@@ -193,7 +189,7 @@ def drawn_of(args) -> dict:
 
 
 def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
-    """Hash of the search's inputs, and the records outside every decision (or outside every fit): the input of gap apply."""
+    """Hashes of the search's inputs, and the records set aside (or else the first fold), for gap apply."""
     drawn = {"null": drawn_of(args), "water": args.water, "skipped": given.broken}
     hashes = {"model_sha256": model_version.digest(args.model), "data_sha256": given.sha256}
     model = str(Path(args.model).resolve()) if str(args.model).endswith(".toml") else str(args.model)

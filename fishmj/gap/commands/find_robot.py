@@ -1,4 +1,4 @@
-"""`gap find LOGS --model robot.xml`: what is missing in the simulation of a robot described in MJCF or URDF.
+"""`gap find LOGS --model robot.xml`: the effects that the simulation of a robot in MJCF or URDF lacks.
 
 LOGS has a column for each joint's position and each actuator's command (records/robot_logs.py).
 """
@@ -57,8 +57,8 @@ from fishmj.log.limits import bare
 from fishmj.log.trial import readings_sha256
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
-MOST_SAID = 10  # notes on logs that are printed
-HOLE = 10  # usual steps between two rows, from which on rows are missing
+MOST_SAID = 10  # largest number of printed notes on logs
+HOLE = 10  # steps between two rows, in units of the usual one, from which rows are missing
 
 
 def find(args: Any) -> int:
@@ -88,12 +88,12 @@ def find(args: Any) -> int:
 
 def words() -> str:
     """Message of an interrupted search."""
-    done = "the null runs and the measured torques that were finished"
-    return f"{cache_folder() / 'null'} holds {done}; the same command goes on with those, a round of the search begins anew"
+    done = "the finished null runs and measured torques"
+    return f"{cache_folder() / 'null'} holds {done}; the same command continues from them and repeats the rounds of the search"
 
 
 def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dict[str, str]]:
-    """(robot, its logs' files, those that can be read, file's name -> why it cannot) of --model, the data and --columns."""
+    """(robot, files, readable trials, {file name: why it is unreadable}) of --model, the data and --columns."""
     robot = read_robot(robot_file(args.model))
     files = log_files(args.data)
     trials, broken = read_robot_logs(files, columns_of(args, robot, files))
@@ -104,13 +104,13 @@ def read_logs(args: Any) -> tuple[RobotDescription, list[Path], list[Trial], dic
     if trials:
         console.say(ranges_of(robot, trials))
     if len(trials) == 1 and len(parts := in_parts(trials[0])) > 1:
-        console.say(f"one log: cut into {len(parts)} parts, so that some can judge what is fitted to the others")
+        console.say(f"only one log: cut into {len(parts)} parts, to fit some and validate on the others")
         trials = parts
     return robot, files, trials, broken
 
 
 def ranges_of(robot: RobotDescription, trials: list[Trial]) -> str:
-    """Length and step of the logs, holes in them, and the range of each channel, for a reader who knows them."""
+    """Sentence on the length, step and gaps of the logs and on each channel's range, for the user to check."""
     steps = np.concatenate([np.diff(np.asarray(trial.tables["joint"]["t"], float)) for trial in trials])
     step = float(np.median(steps))
     holes = steps[steps > HOLE * step]
@@ -125,10 +125,10 @@ def ranges_of(robot: RobotDescription, trials: list[Trial]) -> str:
 
 
 def refuse_fish_options(args: Any, command: str) -> None:
-    """Raises ConfigError for an option that a robot in MJCF has not."""
+    """Raises ConfigError for an option that applies to fish only."""
     for option, usual in FISH_ONLY.items():
         if getattr(args, option, usual) not in (usual, []):
-            raise ConfigError(f"{command}: --{option.replace('_', '-')} is of fish; leave it out with {args.model}")
+            raise ConfigError(f"{command}: --{option.replace('_', '-')} is for fish only; leave it out with {args.model}")
 
 
 def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotColumns:
@@ -143,10 +143,10 @@ def columns_of(args: Any, robot: RobotDescription, files: list[Path]) -> RobotCo
             found = guessed(robot, sheet, joints, actuators)
         except LogError as error:
             todo = shlex.join(["fishmj", "gap", "find", str(args.data), "--model", str(args.model), "--write-map", "MAP.toml"])
-            raise LogError(f"{sheet.where}: {error}; a map to complete is written by: {todo}") from error
+            raise LogError(f"{sheet.where}: {error}; write a map to complete with: {todo}") from error
         console.say("columns, guessed by name:", *(f"  {row}" for row in found.rows()))
         if not args.yes and not console.confirmed("Is that right?"):
-            raise LogError("the columns are a guess; take it with --yes, or name them in a map, --columns MAP.toml")
+            raise LogError("the columns were only guessed; accept them with --yes, or name them in a map, --columns MAP.toml")
     for doubt in found.doubts():
         console.warn(doubt)
     return found
@@ -163,7 +163,7 @@ def write_map(args: Any) -> int:
     """Writes --write-map: the guess of the first log, a commented line for each column without one. Returns the exit code."""
     path, robot = args.write_map, read_robot(robot_file(args.model))
     if path.exists():
-        raise LogError(f"{path}: exists, and may hold your own lines; choose another name for the map, or remove it first")
+        raise LogError(f"{path}: exists and may contain your edits; choose another name for the map, or remove it first")
     sheet = read_sheet(log_files(args.data)[0])
     sites = {"joint": tuple(j.name for j in robot.joints), "actuator": robot.actuators, "base": POSE if robot.base else ()}
     known, why = dict[str, dict[str, Column]](), dict[str, str]()
@@ -184,7 +184,7 @@ def write_map(args: Any) -> int:
     for text in why.values():
         console.warn(text)
     left = sum(line.endswith('= "COLUMN"') for line in lines)
-    todo = f"name the {left} columns that are not guessed in it, then" if left else "check it, then"
+    todo = f"add the {left} columns that were not guessed, then" if left else "check it, then"
     command = shlex.join(["fishmj", "gap", "find", str(args.data), "--model", str(args.model), "--columns", str(path)])
     console.say(f"written: {path}; {todo}: {command}")
     if args.json:
@@ -216,7 +216,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
     sizes = sizes_of(robot, seen)
     inert = RigidRobot(robot, sizes).inert(seen)
     if inert:
-        console.say(f"left out, since no reading would show them: {', '.join(sorted(map(title, inert)))}")
+        console.say(f"left out, because they change no reading by more than its noise: {', '.join(sorted(map(title, inert)))}")
     started = RigidRobot(robot, sizes, without=inert, stride=coarsest(robot, sizes, seen, inert))
     model = with_kept_errors(started, trials, seen, null)
     found = investigate(
@@ -236,7 +236,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
 
 
 def with_kept_errors(model: RigidRobot, trials: Sequence[Trial], seen: Sequence[RobotRecord], null: RobotNull) -> RigidRobot:
-    """The model with the measured errors of its torques. They and the null runs are kept, and read where they are."""
+    """The model with the measured errors of its torques. These and the null runs are cached."""
     path = kept_at(search_key(model, trials, seen, null))
     try:
         kept = read_npz(path)
@@ -267,17 +267,17 @@ def search_key(model: RigidRobot, trials: Sequence[Trial], seen: Sequence[RobotR
 
 
 def robot_gates() -> Gates:
-    """The gates for a robot in MJCF, whose noise is measured from its own logs."""
+    """The gates for a robot in MJCF, whose noise is estimated from its own logs."""
     own = thresholds().torques
     asked = dict(gain=own.gain, min_joint_gain=own.min_joint_gain, min_gain_per_sample=own.min_gain_per_sample)
     return replace(frozen(), rival_margin_abs=own.lead, **asked)
 
 
 def searched_model(verdict: dict) -> Path:
-    """The description that a search questioned. verdict: of verdict.json. Raises ConfigError: it changed since then."""
+    """The description that was searched. verdict: of verdict.json. Raises ConfigError: it changed since then."""
     path = Path(verdict["context"]["model"])
     if not path.is_file() or sha256(path) != verdict["context"]["model_sha256"]:
-        raise ConfigError(f"{path}: changed since the search, or gone; search again, or restore the model it questioned")
+        raise ConfigError(f"{path}: missing or changed since the search; search again, or restore the searched model")
     return path
 
 
@@ -287,7 +287,7 @@ def logs_digest(files: list[Path]) -> str:
 
 
 def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: Inquiry) -> dict:
-    """Inputs of the search, and the logs outside every decision (or outside every fit), for gap apply and gap check."""
+    """Inputs of the search, and the logs set aside (or else the first fold), for gap apply and gap check."""
     return {
         "model": str(robot.path.resolve()),
         "model_sha256": sha256(robot.path),
@@ -300,16 +300,16 @@ def context_of(args: Any, robot: RobotDescription, files: list[Path], inquiry: I
 
 
 def doubted(verdict: Verdict) -> set[str]:
-    """Effects of an answer with a rival, and those beside one that stands in for something else."""
+    """Effects of a verdict that have a rival or that are found together with an implausible one."""
     return beside_unbelievable(verdict) | {
         e.name for e in verdict.effects if len(verdict.standing(e)) > 1 or e.p_best < frozen().p_best
     }
 
 
 def beside_unbelievable(verdict: Verdict) -> set[str]:
-    """Effects of an answer with a value that is not believable, and those for which another may stand in, too.
+    """Effects of a verdict with an implausible value, and the effects that these may distort.
 
-    All of them; of many joints, those at its own.
+    Those are all effects; on a robot of many joints, only the ones at the same joint.
     """
     names = [e.name for e in verdict.effects]
     bad = {name for name in names if any(w.startswith(f"{title(name)}: ") for w in verdict.warnings)}
@@ -319,7 +319,7 @@ def beside_unbelievable(verdict: Verdict) -> set[str]:
 
 
 def by_effect(verdict: Verdict) -> dict[str, str]:
-    """NAMED or CLASS for each effect of the answer: one may be certain beside another that is not; {} for other answers."""
+    """{effect: NAMED or CLASS}, since one may be certain and another not; {} for other answers."""
     if verdict.answer not in ("NAMED", "CLASS"):
         return {}
     open_ones = doubted(verdict)
@@ -327,18 +327,18 @@ def by_effect(verdict: Verdict) -> dict[str, str]:
 
 
 def without_stand_in(verdict: Verdict) -> Verdict:
-    """The verdict, UNEXPLAINED where no effect has a rival and one has a value that is not believable: no class of one.
+    """The verdict, changed from CLASS to UNEXPLAINED if no effect has a rival and one has an implausible value.
 
-    Of many joints, what is beside no such value keeps its name.
+    On a robot of many joints, effects at other joints stay named.
     """
     if verdict.answer != "CLASS" or verdict.rivals or any(e.p_best < frozen().p_best for e in verdict.effects):
         return verdict
     doubtful = beside_unbelievable(verdict)
     if kept := tuple(e for e in verdict.effects if e.name not in doubtful):
         others = tuple(e for e in verdict.effects if e.name in doubtful)
-        why = "explains records that it has not seen, and nothing else does; where a value is not believable it is tentative"
+        why = "explains records that it was not fitted to, and nothing else does; effects with an implausible value are tentative"
         return replace(verdict, answer="NAMED", reason=why, effects=kept, tentative=(*verdict.tentative, *others))
-    why = "the best of the catalogue is not believable, as its warning says: it stands in for something else; it is tentative"
+    why = "the best effect has an implausible value (see the warning) and probably imitates something else; it is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
@@ -351,7 +351,7 @@ def place_of(inquiry: Inquiry) -> RobotLocalisation:
 
 
 def place_text(verdict: Verdict, place: RobotLocalisation) -> str:
-    """Place of the gap in words; of a model that agrees, whose residual above the floor lies within the stated tolerances, so."""
+    """Place of the gap in words; for AGREES, with a note that the stated tolerances explain the residual above the floor."""
     explained = verdict.answer == "AGREES" and any(place.joints.values())
     return f"{place.text}{'; the stated tolerances explain all of it' if explained else ''}"
 

@@ -1,9 +1,9 @@
-"""Effects that MuJoCo itself can hold, written into its model: for simulators without fishmj's hooks.
+"""Writes effects that MuJoCo has attributes for into its model, for simulators without fishmj's hooks.
 
     difference(parent, robot)       a unified diff of the two models' MJCF
-    hooked(robot)                   effects that need a hook (or belong to sensors): no attribute of MJCF holds them
+    hooked(robot)                   effects that need a hook (or belong to sensors), without an attribute in MJCF
 
-A model of fishmj itself never gets these attributes: its hooks act instead, and an effect must not act twice.
+fishmj's own models never get these attributes: their hooks act instead, and an effect must not act twice.
 """
 
 import difflib

@@ -32,9 +32,7 @@ def facts(path: "str | Path") -> dict:
     """The table [version] of a model; {} for a first one. Raises ConfigError: it is no table, or its number is invalid."""
     version = read_toml(resolve(path)).get("version", {})
     if not isinstance(version, dict) or not isinstance(version.get("number", 1), int):
-        raise ConfigError(
-            f"{path}: [version] is not what gap apply writes; expected a block with a whole number; take the parent"
-        )
+        raise ConfigError(f"{path}: [version] was not written by gap apply: it needs a whole number; use the parent model")
     return version
 
 
@@ -67,7 +65,7 @@ def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version:
     source = resolve(parent)
     text = source.read_text(encoding="utf-8")
     if out.resolve() == source.resolve():
-        raise ConfigError(f"{out}: the next version needs a name of its own; its parent stays as it is")
+        raise ConfigError(f"{out}: a version must not replace its parent; choose another name")
     number = number_of(parent) + 1
     table = {"number": number, "parent": str(parent), "parent_sha256": digest(parent), **version}
     if keep:
@@ -83,14 +81,14 @@ def write(parent: "str | Path", out: Path, effects: list[FittedEffect], version:
 def revert(model: Path) -> Path:
     """Restores the parent's text in place of `model`, bit for bit; the version moves to MODEL.reverted-<hash>.toml.
 
-    Raises ConfigError: a first version, or the parent's text is gone or changed.
+    Raises ConfigError: a first version, or the parent's text is missing or changed.
     """
     version = facts(model)
     if not version:
-        raise ConfigError(f"{model}: this is a first version, it has no table [version]; there is nothing to go back to")
+        raise ConfigError(f"{model}: no table [version]: this is a first version, there is nothing to revert")
     kept = parent_of(model, version)
     if not kept.is_file() or digest(kept) != version.get("parent_sha256"):
-        raise ConfigError(f"{model}: its parent's text {kept} is gone or changed; expected sha256 {version.get('parent_sha256')}")
+        raise ConfigError(f"{model}: its parent {kept} is missing or changed; expected sha256 {version.get('parent_sha256')}")
     aside = Path(model).with_name(f"{Path(model).stem}.reverted-{digest(model)[:12]}.toml")
     write_text(aside, Path(model).read_text(encoding="utf-8"))
     write_text(Path(model), kept.read_text(encoding="utf-8"))

@@ -1,12 +1,12 @@
-"""`gap next REPORT|DATA`: which experiment would tell apart the explanations that are left.
+"""`gap next REPORT|DATA`: the experiment that best separates the remaining explanations.
 
 REPORT is the output of `gap find --out`; DATA a data set, which is searched first. Every experiment of the library is simulated
-with each explanation at its fitted values; the best separation for its duration comes first.
+with each explanation at its fitted values, and ranked by separation per second.
 
     fishmj gap next report --runs hinted
     fishmj gap next report --out experiment.csv          of a robot in MJCF: commands within its limits, safe in simulation
-    fishmj gap next robot.xml --out experiment.csv       the same, to tell its friction, damping, armature, gains, delay, bodies
-    fishmj gap next LOGS --model robot.xml               the same, beside logs that are there already
+    fishmj gap next robot.xml --out experiment.csv       the same, to identify friction, damping, armature, gains, delay, bodies
+    fishmj gap next LOGS --model robot.xml               the same, in addition to existing logs
 """
 
 from fishmj.base import console
@@ -44,20 +44,20 @@ def main(argv: list[str]) -> int:
         "--out",
         type=console.out_file,
         metavar="FILE.csv",
-        help="of a robot in MJCF: the best experiment's commands (default none)",
+        help="CSV for the best experiment's commands, for a robot in MJCF (default none)",
     )
     seconds, speed = console.number(2, 600), console.number(0.001, 1000)
-    add("--seconds", type=seconds, default=10.0, metavar="S", help="of a robot in MJCF: length, 2 to 600 s (default 10)")
-    add("--speed", type=speed, default=3.0, metavar="V", help="of a robot in MJCF: fastest joint, rad/s or m/s (default 3)")
+    add("--seconds", type=seconds, default=10.0, metavar="S", help="length for a robot in MJCF, 2 to 600 s (default 10)")
+    add("--speed", type=speed, default=3.0, metavar="V", help="largest joint speed for a robot in MJCF, rad/s or m/s (default 3)")
     gap_options.of_columns(add)
-    add("--model", type=console.text, help="the model that was questioned; default, the one that the report names, else fish")
+    add("--model", type=console.text, help="the searched model (default: the one that the report names, else fish)")
     gap_options.of_robot(add)
-    which = "experiments: ids, designed, casual, dry, all, or hinted, a quick look (default all)"
+    which = "experiments: ids, designed, casual, dry, all, or hinted for a quick try (default all)"
     add("--runs", type=console.text, default="all", metavar="ID,..", help=which)
-    add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="how many to list, 1 to 1000 (default 5)")
+    add("--top", type=console.whole(1, 1000), default=5, metavar="N", help="number of experiments to list, 1 to 1000 (default 5)")
     gap_options.of_mass(add)
     gap_options.of_null(add)
-    add("--anyway", action="store_true", help="of a data set: search even where model and logs are too different to tell")
+    add("--anyway", action="store_true", help="of a data set: search although model and logs differ too much")
     own_effects.option(parser)
     args = parser.parse_args(argv)
     own_effects.join(args.effects)
@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
     except admission.TooDifferent as different:
         return different.told(args.json)
     if len(sides) < 2:
-        console.say(f"{answer}: {advised or 'fewer than two explanations are left; no experiment has to decide between any'}")
+        console.say(f"{answer}: {advised or 'fewer than two explanations are left, so there is nothing to separate'}")
         if args.json:
             console.emit_json({"answer": answer, "experiments": []} | ({"advice": advised} if advised else {}))
         return console.OK
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
 
 
 def _opened(args, null: SimulatedNull):
-    """(answer, model, sides, a record, the search's own advice) of a report or a data set."""
+    """(answer, model, hypotheses, a record, the search's own advice) of a report or a data set."""
     report = reported.verdict_file(args.source)
     if report.is_file() and report.suffix != BUNDLE:
         from fishmj.gap.laboratory.virtual_robot import generate
@@ -121,7 +121,7 @@ def _opened(args, null: SimulatedNull):
 
 
 def _model_of(context: dict) -> str:
-    """The model of a report, unchanged since then. Raises ConfigError: it is gone, or changed."""
+    """The model of a report. Raises ConfigError: it is missing, or changed since the report."""
     if not context:
         return "fish"
     if model_version.digest(context["model"]) != context["model_sha256"]:

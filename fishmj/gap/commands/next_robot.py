@@ -1,4 +1,4 @@
-"""`gap next` for a robot in MJCF: the experiment that separates the effects of a CLASS, or tells the numbers that are left open.
+"""`gap next` for a robot in MJCF: the experiment that separates the effects of a CLASS, or identifies the open parameters.
 
     CLASS     smallest distance, in standard deviations, between what an effect does and the nearest that a rival can do instead,
               over the pairs of the report
@@ -38,12 +38,12 @@ from fishmj.gap.wording import number, percent, title
 from fishmj.log import Trial, numbered
 
 NOISE = 5e-4  # rad or m of an encoder
-SEGMENTS = 24  # of an experiment that are compared
-TOLD = 0.5  # of a prior's standard deviation, below which a number is told, as in calibrate model
+SEGMENTS = 24  # segments of an experiment that are compared
+TOLD = 0.5  # a number is identified if its sd is below this share of the prior's, as in calibrate model
 
 
 class Score(NamedTuple):
-    """Score of one experiment: sigma of a CLASS, bits of numbers; told: how many of them it tells together with the logs."""
+    """Score of one experiment: sigma for a CLASS, bits for parameters. told: parameters identified, together with the logs."""
 
     value: float
     told: int = 0
@@ -60,12 +60,12 @@ def next_robot(args: Any) -> int:
             raise UnknownName("experiment", name, FAMILIES)
     robot, verdict, logs = _asked(args)
     if robot.thrusters or robot.base:
-        text = "experiments are for joints of a robot whose base is fixed, and this one floats or has thrusters"
-        raise ConfigError(f"gap next: {robot.path}: {text}; fly it by its controller, with faster turns and climbs than before")
+        text = "experiments are available for robots with a fixed base only, and this one floats or has thrusters"
+        raise ConfigError(f"gap next: {robot.path}: {text}; fly it by its controller, with faster turns and climbs")
     pairs = pairs_of(verdict) if verdict else []
     if verdict and not pairs:
-        none = "fewer than two explanations are left, so that none has to be decided between"
-        wide = f"what tells most about the whole robot: fishmj gap next {shlex.quote(str(robot.path))} --out experiment.csv"
+        none = "fewer than two explanations are left, so there is nothing to separate"
+        wide = f"for the most informative experiment: fishmj gap next {shlex.quote(str(robot.path))} --out experiment.csv"
         console.say(f"{verdict['answer']}: {none}; nothing is written. {wide}")
         if args.json:
             console.emit_json({"answer": verdict["answer"], "experiments": []})
@@ -91,14 +91,14 @@ def next_robot(args: Any) -> int:
     console.say(advised)
     if args.out:
         write(made[order[0]], robot, args.out)
-        console.say(f"written: {args.out}, commands of {', '.join(robot.actuators)}; begin where the robot rests")
+        console.say(f"written: {args.out}, commands of {', '.join(robot.actuators)}; start from the robot's rest position")
     if args.json:
         console.emit_json({"answer": verdict["answer"] if verdict else "", "advice": advised, "experiments": rows})
     return console.OK
 
 
 def _asked(args: Any) -> tuple[RobotDescription, dict | None, list[RobotRecord]]:
-    """(robot, verdict of a report or None, logs that are there already)."""
+    """(robot, verdict of a report or None, existing logs)."""
     if is_robot(args.source):
         return read_robot(args.source), None, []
     if args.model is not None:
@@ -110,7 +110,7 @@ def _asked(args: Any) -> tuple[RobotDescription, dict | None, list[RobotRecord]]
 
 
 def pairs_of(verdict: dict) -> list[tuple[str, str]]:
-    """(effect of the answer, one that could be in its place) of an answer that is open."""
+    """(effect, possible alternative) pairs of a verdict with alternatives."""
     known = effects.robot_catalogue()
     mine = {effect["name"] for effect in verdict["effects"]}
     rivals = [r for r in verdict["rivals"] if r["name"].partition(AT)[0] in known and r["instead_of"] in mine]
@@ -169,7 +169,7 @@ def separations(
 
 
 def _beyond(change: np.ndarray, others: np.ndarray) -> float:
-    """Length of a change (m,) that no combination of others (K, m) makes."""
+    """Norm of the part of a change (m,) orthogonal to the span of others (K, m)."""
     size = np.linalg.norm(others, axis=1, keepdims=True)
     basis = (others / np.maximum(size, 1e-12)).T
     weights, *_ = np.linalg.lstsq(basis, change, rcond=1e-6)
@@ -179,7 +179,7 @@ def _beyond(change: np.ndarray, others: np.ndarray) -> float:
 def informations(
     robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], logs: Sequence[RobotRecord], bar
 ) -> list[Score]:
-    """Score of each record for all numbers that a description leaves open, beside what some logs tell."""
+    """Score of each record for all open parameters of a description, in addition to the information of some logs."""
     model = RigidRobot(robot, sizes, effects_of(tuple(KINDS)))
     free = free_numbers(model, tuple(KINDS))
     sigma = np.array([n.sigma for n in free])
@@ -207,7 +207,7 @@ def informations(
 
 
 def write(one: RobotExperiment, robot: RobotDescription, out: Path) -> None:
-    """Writes the commands as CSV: t in s, a column an actuator in the unit of its ctrl; each holds until the next."""
+    """Writes the commands as CSV: t in s, then a column per actuator in the unit of its ctrl; each row holds until the next."""
     lines = [",".join(["t", *(f"cmd_{name}" for name in robot.actuators)])]
     lines += [",".join(f"{x:.6g}" for x in (t, *row)) for t, row in zip(one.t, one.commands, strict=True)]
     write_text(out, "\n".join(lines) + "\n")
@@ -222,8 +222,8 @@ def _row(one: RobotExperiment, score: Score, unit: str) -> dict:
 def _advice(best: RobotExperiment, score: Score, pairs: list[tuple[str, str]]) -> str:
     size = f"{best.family} at {percent(best.share)} of its span"
     if not pairs:
-        return f"{size} tells most: {number(score.value)} bits more, {score.told} numbers told"
+        return f"{size} is most informative: {number(score.value)} bits gained, {score.told} parameters identified"
     which = "; ".join(f"{title(a)} or {title(b)}" for a, b in pairs)
     if score.value < ENOUGH:
-        return f"none decides between {which}: the best, {size}, separates them by {number(score.value)} sigma; repeat it"
+        return f"no experiment decides between {which}: the best, {size}, reaches {number(score.value)} sigma; repeat it"
     return f"{size} decides between {which}: {number(score.value)} sigma apart"

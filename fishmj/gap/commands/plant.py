@@ -1,9 +1,9 @@
-"""`gap plant EFFECT[=value] --out DATA`: data in which an effect is hidden; what it was goes to another file.
+"""`gap plant EFFECT[=value] --out DATA`: simulates data with a hidden effect and writes the truth to another file.
 
 independent   the second, independently written robot (fishmj.gap.laboratory.virtual_robot) with the effect in its own equations
 log           an existing data set (--from) with the effect applied afterwards: only effects of sensors and clocks;
               also the user's own, module:EFFECT or file.py:EFFECT
-lbm           the flow solver's fish on the second robot's servos, network and camera
+lbm           the flow solver's fish with the second robot's servos, network and camera
 morison, foil, ellipsoid     robots in other forms of water on MuJoCo's bodies and servos (fishmj.gap.laboratory.generators);
               the truth also states the effect's visible size above noise and healthy robots
 
@@ -41,7 +41,7 @@ from fishmj.mjcf.reading import load_robot
 
 RATES = {"joint": "network.period", "pose": "camera.period", "power": "meter.period"}
 GENERATORS = ("independent", "log", "lbm", *generators.NAMES)
-FASTEST = 1.0  # m/s, of an ordered stream
+FASTEST = 1.0  # m/s, of a requested current
 SHIFTS = {"pose": ("pose",), "joint": ("joint",), "power": ("power",), "command": ("pose", "joint", "power", "truth", "flow")}
 
 
@@ -51,23 +51,23 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     one = "SI; NAME:p=1,q=2 sets several parameters; random and random_odd draw one; none"
     add("effect", nargs="*", metavar="EFFECT[=value]", help=one)
-    add("--list", action="store_true", help="name the second robot's effects and all experiments, and stop")
+    add("--list", action="store_true", help="list the second robot's effects and all experiments, and stop")
     add("--out", type=console.out_folder, metavar="DATA", help="data set folder, new or empty; needed unless --list")
     add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
     add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
-    robot = "the robot, but for --generator log and lbm: name or TOML file (default fish)"
+    robot = "robot: name or TOML file; not for --generator log and lbm (default fish)"
     add("--model", type=console.text, default="fish", help=robot)
     add("--logs", type=console.whole(1, 1000), default=12, metavar="N", help="trials to make, 1 to 1000 (default 12)")
     shelf = "designed, casual, dry, all, or ids with commas (default designed)"
     add("--excitations", type=console.text, default="designed", metavar="LIST", help=shelf)
     gap_options.of_seed(add, "of the robot and its noise")
     add("--noise", type=console.number(0, LOUDEST), default=1.0, metavar="F", help="factor on every sensor's noise (default 1)")
-    nuisance = "relative half width of constants that nobody measured, 0 to 0.5 (default 0.1)"
+    nuisance = "relative half width of the unmeasured constants, 0 to 0.5 (default 0.1)"
     add("--nuisance", type=console.number(0, 0.5), default=0.1, metavar="F", help=nuisance)
-    add("--weigh", action="store_true", help="with measurements.toml: what scales, knife edge and pendulum say; not of a log")
+    add("--weigh", action="store_true", help="also write measurements.toml (scales, knife edge, pendulum); not for a log")
     air = "--generator independent: in water, or hung on a thread in air, without a camera (default water)"
     add("--medium", default=trials.MEDIA[0], choices=trials.MEDIA, help=air)
-    ordered = "--generator independent: ordered stream, m/s and deg (default 0,0)"
+    ordered = "--generator independent: current, m/s and deg (default 0,0)"
     add("--flow", type=console.flow(FASTEST), default=(0.0, 0.0), metavar="M/S,DEG", help=ordered)
     add("--domain", type=console.text, default="laptop", help="--generator lbm: box of water (default laptop, a preview)")
     add("--device", default="cpu", choices=("auto", "cpu", "cuda"), help="--generator lbm (default cpu)")
@@ -77,13 +77,13 @@ def main(argv: list[str]) -> int:
         add(f"--{sensor}-rate", type=console.number(1, 1000), metavar="HZ", help=rate)
     drop = "share of sensor rows that are lost, 0 to 0.9; not of lbm (default 0)"
     add("--drop", type=console.number(0, 0.9), default=0.0, metavar="SHARE", help=drop)
-    add("--truth", type=console.out_file, metavar="FILE", help="what was hidden; default DATA.truth.json, beside the data set")
+    add("--truth", type=console.out_file, metavar="FILE", help="file for the hidden truth (default DATA.truth.json beside DATA)")
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
     if args.list:
         return listed(args.json)
     if args.out is None or not args.effect:
-        raise ConfigError("gap plant: say what is hidden (EFFECT, or none) and where: --out DATA; --list names the effects")
+        raise ConfigError("gap plant: name what to hide (EFFECT, or none) and the data set, --out DATA; --list lists the effects")
     gap_options.there(args.source)
     if args.weigh and args.generator == "log":
         raise ConfigError("gap plant: --generator log has no robot to --weigh; write measurements.toml into --out by hand")
@@ -112,7 +112,7 @@ def main(argv: list[str]) -> int:
     page = weigh(hidden, args.seed, args.nuisance, args.model) if args.weigh else None
     facts = {"generator": args.generator, "seed": args.seed, **facts}
     write_hidden(out, truth, made, hidden, facts, args.overwrite, page)
-    console.say(f"{len(made)} trials in {out}; what is hidden in them is in {truth}")
+    console.say(f"{len(made)} trials in {out}; the hidden truth is in {truth}")
     if args.json:
         console.emit_json({"trials": len(made), "out": out, "truth": truth, "generator": args.generator})
     return console.OK
@@ -252,11 +252,11 @@ def parse(texts: list[str], seed: int) -> dict[str, dict[str, float]]:
         name, main, listed = split_text(text)
         left = sorted(set(able) - set(out))
         if name == "random" and not left or name in out:
-            raise ConfigError(f"gap plant {text[:60]}: every effect once; left are {', '.join(left) or 'none'}")
+            raise ConfigError(f"gap plant {text[:60]}: give each effect once; left are {', '.join(left) or 'none'}")
         name = str(rng.choice(left)) if name == "random" else name
         if effects.get(name) and name not in able:
             raise ConfigError(
-                f"effect {name!r} acts before the sensors: a log cannot show it afterwards; able: {', '.join(able)}"
+                f"effect {name!r} acts before the sensors, so it cannot be added to a log afterwards; possible: {', '.join(able)}"
             )
         effect = able[name]
         active = EffectStack([effect], excitation.JOINTS)

@@ -1,6 +1,6 @@
 """Reads the output of `gap find --out`: every field is checked for its type before any use.
 
-A report may come from elsewhere. Its paths are only read; its names must be the catalogue's; its numbers finite.
+A report may come from an untrusted source: its paths are only read, its names must be in the catalogue, its numbers finite.
 """
 
 from pathlib import Path
@@ -171,7 +171,7 @@ def verdict(report: Path, *, context: bool) -> dict[str, Any]:
     path = verdict_file(report)
     found = read_json(path)
     if of_robot(found):
-        raise ConfigError(f"{path}: of a robot in MJCF, which fishmj gap apply takes; its page says what separates effects")
+        raise ConfigError(f"{path}: a report on a robot in MJCF; use fishmj gap apply, or see the experiment in report.html")
     told = _checked(_Applied if context else _Verdict, found, str(path), "fishmj gap find DATA --out FOLDER")
     if context and told.context is None:
         raise ConfigError(f"{path}: no verdict with its context; write it with: fishmj gap find DATA --out FOLDER")

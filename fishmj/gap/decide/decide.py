@@ -1,43 +1,44 @@
-"""Decides one of the five answers from the search's result: ten gates, each a reason that a reader can check.
+"""Decides one of the five answers from the search's result, by ten gates.
 
-    G1 adequacy     |z|^2 / m is beyond every null run                          else AGREES
-    G2 gain         drop of the loss of held-out records beyond any null run's  else UNEXPLAINED
-    G3 closure      most of the excess is gone, or hardly any is left           else UNEXPLAINED, the best shown as tentative
-    G4 residual     the rest lies within the model error of the found effects,  else UNEXPLAINED, the best shown as tentative
-                    or is a small share of their gain (thresholds.py)
+    G1 adequacy     |z|^2 / m is larger than in any null run                    else AGREES
+    G2 gain         drop of the held-out loss is larger than in any null run    else UNEXPLAINED
+    G3 closure      most of the excess is explained, or little remains          else UNEXPLAINED, the best shown as tentative
+    G4 residual     the rest is within the model error of the found effects,    else UNEXPLAINED, the best shown as tentative
+                    or a small share of their gain (thresholds.py)
     G5 form         the formula's error is within that of right formulas        else UNEXPLAINED, the best shown as tentative
     G6 size         the size varies between records within its limit            else UNEXPLAINED, the best shown as tentative
-    G7 transfer     no more than a fifth of the records get worse, held out     else UNEXPLAINED
+    G7 transfer     at most a fifth of the held-out records gets worse          else UNEXPLAINED
     G8 uniqueness   no rival nearly as good, P(best) high                       else CLASS
-    G9 sanity       no parameter on a bound, no implausible size, no start of   else CLASS with a warning
-                    a series in a joint's angle
+    G9 sanity       no parameter on a bound, no implausible size, no truncated  else CLASS with a warning
+                    series in a joint's angle
     G10 force       no free force explains more, held out (terms/stronger.py)   else UNEXPLAINED
 
-G1 and G2 only stop a search that accepted nothing (search/stepwise.py), or one effect that chance explains. The others test
+G1 and G2 apply to a search that accepted no effect (search/stepwise.py), or a single one that chance explains. The others test
 the accepted effects.
 
 The form error is measured (search/model_error.py): the relative error of the effects' change that makes the records most likely.
-A right name leaves a few per cent; a substitute for something else leaves as much as is tried. G5 and G6 leave out the paths of
-as many records as G7 allows to get worse, and G5 an effect that needs an exact value (`needs_exact_value`).
+A correct effect has an error of a few per cent; an imitation reaches the largest error that is tried. G5 and G6 leave out the
+paths of as many records as G7 allows to get worse. G5 does not apply to an effect that needs an exact value
+(`needs_exact_value`).
 
-Rivals: each found effect against those that came close in its round, in the company of the others.
+Rivals: each found effect is compared with those that came close in its round, the other found effects in place.
 
     gain     reduction of |z|^2 over all records by the effect, given the others
     behind   (|z|^2 of the set with the rival in its place - |z|^2 of the set) / gain
     p_best   share of Bayesian bootstrap draws over records in which it beats all of them
 
-Secondary effects: the error of one effect's formula may look like another. An effect is not named beside others if it
+Secondary effects: the error of one effect's formula may look like another effect. Among several, an effect is not named if it
 
-    brings less than `min_gain_fraction` of the gain
-    brings less than `doubtful_gain` of it, and it has a rival or an implausible value
-    brings less than `confusable_gain`, and the catalogue lists it as confused with one that brings more
-    brings less than that and is below `weak_size`, unless it alone gains the most that is required of any
-    is below `implausible_size` and brings less than `implausible_gain`
-    is below `weak_size` and brings less than that, beside a larger one that it is confused with or that acts on the
-    same gears: the small dry friction of every gear train shows beside play, where nothing else holds the link
-    brings no more than one of its stage does in a healthy robot of another water, unless all do (null/structural_error.py)
+    has less than `min_gain_fraction` of the gain
+    has less than `doubtful_gain` of it, and a rival or an implausible value
+    has less than `confusable_gain`, and the catalogue lists it as confused with an effect of larger gain
+    has less than that and is below `weak_size`, unless it alone gains the most that is required of any
+    is below `implausible_size` and has less than `implausible_gain`
+    is below `weak_size` and has less than that, and a larger effect is confused with it or acts on the same gears: the small dry
+    friction of every gear train shows together with play, where nothing else holds the link
+    gains no more than one of its stage does in a healthy robot of another water, unless all do (null/structural_error.py)
 
-Nor does it spoil the name of the large ones. The thresholds are those of [secondary] in data/calib/gap.toml.
+Such an effect does not prevent the large ones from being named. The thresholds are [secondary] in data/calib/gap.toml.
 """
 
 from collections.abc import Iterable
@@ -86,7 +87,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     plain: dict = dict(gap_before=before, gap_after=before, gap_allowed=gates.adequacy, gates=checks, steps=steps)
     first = found.steps[0] if found.steps else None
     if first is None or (not first.accepted and checks["adequacy"] <= gates.adequacy):
-        return Verdict("AGREES", reason="nothing is beyond what runs with nothing hidden scatter", **plain)
+        return Verdict("AGREES", reason="the residual is within the scatter of healthy robots", **plain)
     if not first.accepted:
         tentative = named_effects(found, first.ranked[0], {}) if first.gain > 0 else ()
         gains = f"the best candidate gains {number(first.gain)} in twice the log likelihood of records not seen"
@@ -96,14 +97,14 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
     effects = named_effects(found, found.best, stand)
 
     def dismissed(why: str) -> Verdict:
-        """The verdict where what was found is not believed."""
+        """UNEXPLAINED verdict that keeps the found effects as tentative."""
         if checks["adequacy"] <= gates.adequacy:
             return Verdict("AGREES", reason=why, tentative=effects, **plain)
         return Verdict("UNEXPLAINED", effects=effects, reason=f"there is a gap, but {why}", **plain)
 
-    # Null runs draw their own value of an effect. A single effect of that size is no finding, unless its gain rules out chance.
+    # A fit to null runs, too, gives an effect some size. A single effect no larger is rejected unless its gain rules out chance.
     if within_null_scatter(e, effects) and max(first.gain, stand[effects[0].name].gain) < gates.certain_gain:
-        return dismissed(f"{title(effects[0].name)} comes out as no more than chance may make of it")
+        return dismissed(f"{title(effects[0].name)} is no larger than chance may make it")
     doubts = {n.name: sanity(e, found.best, n, stand[n.name].gain < gates.certain_gain) for n in effects}
     dropped = negligible(found, effects, stand, doubts, gates)
     checks |= held_out_checks(e, found)
@@ -114,7 +115,7 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
         dropped |= usual
     elif usual and e.drawn and checks["closure"] < gates.closure:
         most = max(usual, key=lambda name: stand[name].gain)
-        why = f"{title(most)} gains {number(stand[most].gain)}, as an effect of its stage may in a healthy robot of another water"
+        why = f"{title(most)} gains {number(stand[most].gain)}, no more than it may on a healthy robot in another water"
         return dismissed(why)
     wrong, outliers = error_without_outliers(found.near, found.best.row, checks["gain"], gates)
     checks |= {"form": wrong.form, "strain": wrong.excess_log_likelihood, "size": wrong.gain_error_rms, "spared": outliers}
@@ -134,16 +135,16 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
 
 def truncated_series(names: Iterable[str]) -> tuple[str, ...]:
     """Doubts about torque offsets found beside the stiffness of their joint."""
-    alike = "a torque of any form over the joint's angle begins: of a cable, a soft stop, a spring of another rest angle"
+    alike = "any torque over the joint's angle begins as a series (cable, soft stop, spring with another rest angle)"
     pairs = ([title(f"{term}@{joint}") for term in SERIES] for joint in series_at(names))
-    return tuple(f"{offset}: with {stiffness} it is how {alike}" for offset, stiffness in pairs)
+    return tuple(f"{offset} with {stiffness}: {alike}" for offset, stiffness in pairs)
 
 
 def needs_exact_value(e: Likelihood, names) -> bool:
-    """Returns True if each found effect explains something only at a value within a fraction of a per cent.
+    """Returns True if each found effect must be within a fraction of a per cent of its value to explain anything.
 
-    Such an effect stands in for nothing else. Its form may be wrong: a command in steps jumps between the right values, though no
-    two robots do at the same moment.
+    Such an effect imitates no other. Its form error does not count: a quantised command jumps between the right values, but at a
+    different moment in each robot.
     """
     known = {x.name: x for x in e.model.active.effects}
     return bool(names) and all(any(p.fine for p in known[n].parameters) for n in names)
@@ -152,25 +153,28 @@ def needs_exact_value(e: Likelihood, names) -> bool:
 def _answer(
     checks: dict, gates: Gates, kept, stand: dict[str, Support], rivals, warnings, shrinks: bool = True
 ) -> tuple[str, str]:
-    """(answer, reason) after something was found. shrinks: the residual gets smaller with it."""
+    """(answer, reason) if effects were found. shrinks: True if they reduce the residual."""
     unseen = "does not lower the residual of records that it was not fitted to"
     claim = f"explains {percent(checks['closure'])} of {LIKELIHOOD}" if shrinks else unseen
     if checks["closure"] < gates.closure and checks["rest"] > (1.0 + gates.adequacy) / 2:
-        return "UNEXPLAINED", f"the best of the catalogue {claim}; it is tentative"
+        return "UNEXPLAINED", f"the best effect of the catalogue {claim}; it is tentative"
     if checks["rest"] > residual_allowed(checks, gates):
-        left = f"what is left is {number(checks['rest'])} times what a formula's own error allows"
+        left = f"the rest is {number(checks['rest'])} times what the error of a formula allows"
         return "UNEXPLAINED", f"the best {claim}, {'but' if shrinks else 'and'} {left}; it is tentative"
     if misformed(checks):
-        return "UNEXPLAINED", f"the best would have to be wrong by {percent(checks['form'])} of what it changes; it is tentative"
+        return "UNEXPLAINED", f"the best effect's formula would need an error of {percent(checks['form'])}; it is tentative"
     if checks["size"] > gates.size:
-        resized = f"the best would have to be resized by {percent(checks['size'])} from record to record"
+        resized = f"the size of the best effect would have to vary by {percent(checks['size'])} between records"
         return "UNEXPLAINED", f"{resized}; it is tentative"
     if checks["transfer"] < gates.transfer:
-        return "UNEXPLAINED", f"{percent(1 - checks['transfer'])} of the records get less likely, unseen; the best is tentative"
+        return (
+            "UNEXPLAINED",
+            f"{percent(1 - checks['transfer'])} of held-out records get less likely; the best effect is tentative",
+        )
     if rivals or any(stand[n.name].p_best < gates.p_best for n in kept):
         return "CLASS", "these records cannot tell apart what is listed"
     if warnings:
-        return "CLASS", "one explanation fits best, but what it came out at is not believable: a stand-in"
+        return "CLASS", "one explanation fits best, but its value is implausible: it may imitate something else"
     if shrinks:
         return "NAMED", "explains records that it has not seen, and nothing else does"
     return "NAMED", "makes records that it has not seen likelier, not their residual smaller, and nothing else does"
@@ -183,14 +187,14 @@ def held_out_checks(e: Likelihood, found: Selection) -> dict[str, float]:
     ideal = after + (1.0 - residual) * e.layout.size  # log det S, and |z|^2 of m
     closed = likelihood.closure(before - ideal, after - ideal, 0)
     gates = {"gain": before - after, "closure": closed, "rest": residual, "transfer": transfer(e, found)}
-    return gates | {"residual": residual}  # readers of verdict.json know it as `rest`
+    return gates | {"residual": residual}  # verdict.json calls it `rest`
 
 
 def transfer(e: Likelihood, found: Selection) -> float:
-    """Share of the records that do not get less likely, apart from chance and a small part of the common gain.
+    """Share of the records that do not get less likely by more than chance and a small part of the common gain.
 
-    Each is predicted by a fit without its fold, with the others' estimates of the constants: a joint gain belongs to no single
-    record.
+    Each is predicted by a fit without its fold, with the constants as estimated from the others, because a joint gain belongs to
+    no single record.
     """
     limits = thresholds().decide
     rises, allowed = [], []
@@ -210,9 +214,9 @@ def transfer(e: Likelihood, found: Selection) -> float:
 
 
 def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_stage: bool = False) -> tuple[NamedEffect, ...]:
-    """The effects of a candidate with values, intervals and the closure of all of them together.
+    """The effects of a candidate with values and intervals, and the closure of all together.
 
-    by_stage: as `intervals.estimate`.
+    by_stage: as for `intervals.estimate`.
     """
     e = found.near
     half = thresholds().intervals.quantile
@@ -220,7 +224,7 @@ def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_
     # that a constant can imitate would never be found.
     uncertain = e.with_parameter_uncertainty(c.row)
     fitted = refine(uncertain.subset(), c)
-    if sizes := drawn_places(e.model, c.names):  # slopes know the mean of what they draw alone; the search knew the whole
+    if sizes := drawn_places(e.model, c.names):  # slopes see the mean of random effects only; the search used all of them
         row = fitted.row.copy()
         row[sizes] = c.row[sizes]
         fitted = replace(fitted, row=row)
@@ -243,7 +247,7 @@ def named_effects(found: Selection, c: Candidate, stand: dict[str, Support], by_
 
 
 def sanity(e: Likelihood, c: Candidate, n: NamedEffect, little: bool = True) -> tuple[str, ...]:
-    """Doubts about the values of one effect. little: its gain is so small that any effect could have it."""
+    """Warnings about the values of one effect. little: True if its gain is so small that any effect could have it."""
     limits = thresholds()
     size = bounds(e.model)[2]
     effect = e.model.active.effect(n.name)
@@ -255,13 +259,13 @@ def sanity(e: Likelihood, c: Candidate, n: NamedEffect, little: bool = True) -> 
     first, *others = size_parameters(effect)
     main = n.parameters[first.name]
     if smaller_than(e, n, limits.secondary.implausible_size):
-        out.append(f"{title(n.name)} is far smaller than it is anywhere known: it may stand in for something else")
+        out.append(f"{title(n.name)} is far smaller than in any known robot: it may stand in for something else")
     if not others and poorly_determined(first, main):
         out.append(f"{title(n.name)}: the records disagree about its size by more than {percent(limits.secondary.size_scatter)}")
     if weight := negative_mass(e.model, n):
-        out.append(f"{title(n.name)}: with it the water would have a mass of {quantity(weight, main.unit)} there")
+        out.append(f"{title(n.name)}: with it the added mass would be negative, {quantity(weight, main.unit)}")
     if little and others and insignificant((first, *others), n.parameters):
-        out.append(f"{title(n.name)}: the records do not tell any of its values from none")
+        out.append(f"{title(n.name)}: none of its values can be distinguished from zero")
     return tuple(out)
 
 
@@ -292,10 +296,10 @@ def support_of_each(found: Selection, gates: Gates) -> dict[str, Support]:
 
 
 def near_in_likelihood(found: Selection, name: str) -> set[str]:
-    """Effects of a robot in MJCF whose likelihood came so close to that of `name`, in the round that added it, as chance may.
+    """Effects of a robot in MJCF whose likelihood was within chance of that of `name`, in the round that added it.
 
-    |z|^2 in the covariance of the found effect is no judge of another one that moves the constants' tangents elsewhere. Of two
-    effects that draw, one must lead by the gain of a finding: a lost packet and a late one look alike, and draws are few.
+    |z|^2 in the covariance of the found effect is no fair test of another that changes the constants' tangents differently. Of
+    two random effects, one must lead by the gain of an acceptance: lost and late packets look alike, and draws are few.
     """
     model, limits = found.near.model, thresholds().torques
     if not isinstance(model, RigidRobot):
@@ -309,10 +313,10 @@ def near_in_likelihood(found: Selection, name: str) -> set[str]:
 def support_of(
     e: Likelihood, best: Candidate, name: str, ranked, gates: Gates, near: set[str] | frozenset[str] = frozenset()
 ) -> Support:
-    """Support of one effect against the finalists of all rounds. near: names of rivals in any case.
+    """Support of one effect against the finalists of all rounds. near: names of effects that are rivals in any case.
 
-    A set with a parameter on a bound is no rival: it is a limiting form that mimics the best. Where an effect draws, each set is
-    taken in S with what it draws itself, and log det S counts.
+    A set with a parameter on a bound is no rival: it is a limiting form that mimics the best. With a random effect, each set has
+    an S with its own scatter, and log det S counts.
     """
     whole, without = e.subset(), drop_effect(e.subset(), best, name)
     rivals_of = [(n, c) for c in ranked for n in c.newest if name not in c.names and not apart(whole.model, name, n)]
@@ -343,7 +347,7 @@ def support_of(
 
 
 def known_twins(whole: EffectFitter, best: Candidate, name: str) -> list[Candidate]:
-    """Candidates `best` with the effect replaced by those that are known to look the same."""
+    """Candidates: `best` with the effect replaced by each effect that is known to look the same."""
     twins = {twin for kind in containing(name) for twin in kind.effects} - {*best.names, name}
     effects = [x for x in whole.model.active.effects if x.name in twins]
     return whole.screen(drop_effect(whole, best, name), effects) if effects else []
@@ -372,15 +376,15 @@ def as_in_healthy_robots(e: Likelihood, stand: dict[str, Support]) -> set[str]:
 def negligible(
     found: Selection, effects: tuple[NamedEffect, ...], stand: dict[str, Support], doubts: dict, gates: Gates
 ) -> set[str]:
-    """Names of the negligible effects. doubts: about the values of each."""
+    """Names of the negligible effects. doubts: {effect: warnings about its values}."""
     limits = thresholds().secondary
     e = found.near.origin
     gains = gains_beyond(found, gates) if e.calibrated else {n: s.gain for n, s in stand.items()}
-    # With many joints a gain is compared with the gains at its own joint, and with a joint's share of those of the whole robot.
+    # With many joints, a gain is compared with those at the same joint plus the joint's share of gains of the whole robot.
     wide = lambda n, o: 1.0 / e.model.joints if shares(e.model) and site_of(n) and not site_of(o) else 1.0
     wholes = {n: sum(wide(n, o) * gain for o, gain in gains.items() if not apart(e.model, n, o)) for n in gains}
     share = {n: gain / wholes[n] for n, gain in gains.items()}
-    # The gain of an effect when it was added counts, too: beside a later one that can imitate it, its final gain may be small.
+    # The gain when an effect was added counts, too: its final gain may be small if a later effect can imitate it.
     least = share if e.calibrated or shares(e.model) else {n: min(b, found.gain_share(n, b)) for n, b in share.items()}
     doubtful = {n for n, s in stand.items() if doubts[n] or may_be_another(n, s, gates)}
     implausible = {n.name for n in effects if smaller_than(e, n, limits.implausible_size)}
@@ -407,7 +411,7 @@ def gains_beyond(found: Selection, gates: Gates) -> dict[str, float]:
 
 
 def may_be_another(name: str, stand: Support, gates: Gates) -> bool:
-    """Returns True if another effect may be the cause, other than one that is the same by construction."""
+    """Returns True if another effect may be the cause; effects that are the same by construction do not count."""
     twins = [r for r in stand.rivals if together(name, r.name)]
     return len(twins) < len(stand.rivals) or (not twins and stand.p_best < gates.p_best)
 
@@ -419,9 +423,9 @@ def confused(e: Likelihood, one: str, other: str) -> bool:
 
 
 def masked_by(e: Likelihood, names, weak: set[str]) -> set[str]:
-    """Effects of `weak` that a larger one of `names` masks: it is confused with them, or acts on the same gears.
+    """Effects of `weak` that a larger one of `names` masks, because it is confused with them or acts on the same gears.
 
-    `weak` are effects much smaller than usual.
+    weak: effects much smaller than usual.
     """
     geared = {x.name for x in e.model.active.effects if x.gear is not None}
     return {n for n in weak for other in set(names) - weak if confused(e, n, other) or {n, other} <= geared}
@@ -439,18 +443,18 @@ def smaller_than(e: Likelihood, n: NamedEffect, share: float) -> bool:
 
 
 def poorly_determined(p: Parameter, v: Value) -> bool:
-    """Returns True if records and null runs scatter the only size of an effect by more than `size_scatter` of it."""
+    """Returns True if the sd of an effect's only size, over records and null runs, exceeds `size_scatter` of it."""
     limits = thresholds()
     return (v.high - v.low) / 2 / limits.intervals.quantile > limits.secondary.size_scatter * abs(v.value - p.null)
 
 
 def insignificant(main, values: dict[str, Value]) -> bool:
-    """Returns True if the null lies in the intervals of all sizes of an effect."""
+    """Returns True if the intervals of all sizes of an effect contain their null value."""
     return all(values[p.name].low <= p.null <= values[p.name].high for p in main)
 
 
 def within_null_scatter(e: Likelihood, effects) -> bool:
-    """Returns True for a single found effect that null runs may give by chance, or that is far below any known size."""
+    """Returns True for a single found effect whose size null runs may give by chance, or that is far below any known size."""
     if len(effects) != 1:
         return False
     if smaller_than(e, effects[0], thresholds().secondary.implausible_size):

@@ -1,10 +1,10 @@
 """Effects of a robot in MJCF that no log of it can tell apart, found by simulation.
 
     d(A, B) = min_b |z(A) - z(B; b)| / |z(A) - z(0)|     A at its found values, B at any values b instead
-    z       whitened readings: errors of the starts and torques that no model explains are integrated out, as in the search
+    z       whitened readings, with the errors of the starts and unexplained torques integrated out, as in the search
 
-B is the same as A on this robot if d is below [same] share of data/calib/gap.toml in motions drawn over what the robot can do
-(`drawn_motions`), not only in those of the logs. On a pendulum drag of the air and quadratic friction of its joint are one
+B is the same as A on this robot if d is below [same] share of data/calib/gap.toml, in random motions over the whole range of the
+robot (`drawn_motions`), not only in those of the logs. On a pendulum, air drag and quadratic friction of the joint are the same
 equation; on an arm of two links they are not. Such effects are structurally indistinguishable (Walter, Lecourtier, Happel, 1984,
 IEEE Trans. Autom. Control 29).
 """
@@ -26,14 +26,14 @@ from fishmj.gap.thresholds import Gates, thresholds
 from fishmj.gap.verdict import NamedEffect, PointValue, Verdict
 from fishmj.gap.wording import title
 
-LOGS, SEGMENTS = 3, 48  # whose stamps and commands are taken, and how many segments of them
-LOOKS = 30  # evaluations of a fit
+LOGS, SEGMENTS = 3, 48  # numbers of logs and segments whose stamps and commands are used
+LOOKS = 30  # largest number of evaluations of a fit
 
 
 def with_indistinguishable(verdict: Verdict, model: RigidRobot, records: Sequence[Any], gates: Gates, seed: int) -> Verdict:
-    """The verdict of `decide` with rivals that are the same on this robot told as such, and NAMED if no other is left.
+    """The verdict of `decide` with equivalent rivals listed as `same`; NAMED if no other rival remains.
 
-    One with a value that is not believable stays as it is. Torques that are left beside the effects are no doubt about them.
+    Verdicts with an implausible value stay unchanged. A warning about unexplained torques does not count as a doubt.
     records: RobotRecords of the search.
     """
     doubted = any(w.startswith(f"{title(e.name)}: ") for e in verdict.effects for w in verdict.warnings)
@@ -61,12 +61,12 @@ def with_indistinguishable(verdict: Verdict, model: RigidRobot, records: Sequenc
     if rivals or any(e.p_best < gates.p_best for e in effects):
         return told
     return replace(
-        told, answer="NAMED", reason="explains records that it has not seen, and nothing that differs on this robot does"
+        told, answer="NAMED", reason="explains records that it was not fitted to, and no effect that differs on this robot does"
     )
 
 
 def drawn_motions(model: RigidRobot, records: Sequence[Any], rng: np.random.Generator) -> list[RobotRecord]:
-    """Segments with the logs' stamps that begin anywhere within the joints' ranges, fast, with commands further apart."""
+    """Segments with the logs' stamps, random starts within the joints' ranges, high rates and larger commands."""
     robot, out = model.robot, []
     m, base = robot.model, len(robot.channels) - len(robot.joints)
     low, high = (
@@ -103,12 +103,12 @@ class _Readings:
 def _instead(
     model: RigidRobot, readings: _Readings, row: np.ndarray, effect: NamedEffect, rival: str
 ) -> dict[str, PointValue] | None:
-    """Values of a rival with which it does the same as an effect of the row; None if none do.
+    """Values of a rival at which it is equivalent to an effect of the row; None if there are none.
 
-    A parameter that changes no reading of this robot, such as a centre's offset along the axis of its hinge, is left out.
+    Parameters that change no reading of this robot, such as a centre's offset along its hinge axis, are left out.
     """
     known = {e.name: e for e in model.active.effects}
-    if rival not in known or draws(model, (effect.name, rival)):  # a force of terms/; one that draws has more than its mean
+    if rival not in known or draws(model, (effect.name, rival)):  # a force of terms/; a random effect is more than its mean
         return None
     low, high, size = bounds(model)
     without, mine = row.copy(), [model.index(effect.name, p) for p in effect.parameters]

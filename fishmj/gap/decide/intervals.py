@@ -1,16 +1,16 @@
 """Size of an effect, and its uncertainty from the records.
 
-    theta_i   = -(J^T S_-i^-1 J)^-1 J^T S_-i^-1 r_i     the effect's estimate from null run i, in which nothing is hidden
-    value     = fitted - mean_i theta_i                  a delay of the model itself does not make the robot late
+    theta_i   = -(J^T S_-i^-1 J)^-1 J^T S_-i^-1 r_i     the effect's estimate from null run i, without any effect
+    value     = fitted - mean_i theta_i                  subtracts the bias of the model, such as its own delay
     variance  = var_i theta_i + max(curvature, jackknife)^2 + (formula_error (fitted - null))^2
 
 theta_i is taken with run i left out of S (null/whitening.py), all of them from one Gram matrix. curvature: (J^T S^-1 J)^-1 on
 the data, which knows the autocorrelation. jackknife: one Gauss-Newton step with each record left out (Efron & Stein 1981).
-Of an effect that draws, what it draws tells its size, too:
-1 / variance += |C^-1/2 dC/dsize C^-1/2|^2 / 2, and its theta_i count by the share of the mean in what is known.
-formula_error: no formula is the robot's; for a calibrated model it was measured by stage on other waters
-(studies/structural_error/formula_error.py). A scale's reading has no such error: if weighings alone determine a value to within
-s, its square f^2 becomes 1 / (1/f^2 + 1/s^2), and the jackknife over records leaves them out.
+The scatter of a random effect also informs its size: 1 / variance += |C^-1/2 dC/dsize C^-1/2|^2 / 2, and its theta_i count by
+the mean's share of the information.
+formula_error: error of the effect's formula; for a calibrated model it was measured by stage on other waters
+(studies/structural_error/formula_error.py). A weighing has no such error: if weighings alone
+determine a value to within s, f^2 becomes 1 / (1/f^2 + 1/s^2), and the jackknife over records leaves them out.
 """
 
 import numpy as np
@@ -46,26 +46,25 @@ def estimate(e: Likelihood, c: Candidate, by_stage: bool = False) -> tuple[np.nd
     sampling = np.maximum(by_curvature, by_jackknife)
     for place in drawn_places(e.model, c.names):
         k, told = places.index(place), scatter_information(e, c.row, place)
-        share = 1.0 / (1.0 + told * sampling[k] ** 2)  # of the mean in what is known
+        share = 1.0 / (1.0 + told * sampling[k] ** 2)  # the mean's share of the information
         sampling[k], spurious[:, k] = sampling[k] * np.sqrt(share), spurious[:, k] * share
     stage = {e.model.index(x.name, p.name): x.stage for x in e.model.active.effects for p in x.parameters}
     errors = np.array([e.formula_error(stage[place]) if by_stage else limits.formula_error for place in places])
     form = errors * np.abs(c.row[places] - e.model.null[places])
     form = form / np.sqrt(1.0 + form**2 * np.sum((jacobian[:, weighed] / e.d[weighed]) ** 2, 1))
-    # The mean estimate from null runs is subtracted: a delay of the model itself does not make the robot late.
-    # With known healthy swims, the records include this already.
+    # The mean estimate from null runs is the model's own bias, and is subtracted. Healthy swims include it already.
     usual = spurious.mean(0) if e.drawn else 0.0
     values = np.clip(c.row[places] - usual, low[places], high[places])
     return values, np.sqrt(np.mean((spurious - usual) ** 2, 0) + sampling**2 + form**2)
 
 
 def drawn_places(model, names) -> list[int]:
-    """Places in a parameter row of those of some effects that draw."""
+    """Places of the parameters of some random effects in a parameter row."""
     return [model.index(x.name, p.name) for x in draws(model, names) for p in x.parameters]
 
 
 def scatter_information(e: Likelihood, row: np.ndarray, place: int) -> float:
-    """Information on a size from what an effect draws: half the sum of squares of C^-1/2 dC/dsize C^-1/2, C of each record."""
+    """Fisher information on a size from a random effect's scatter: |C^-1/2 dC/dsize C^-1/2|^2 / 2, summed over records."""
     rows = np.tile(row, (2, 1))
     rows[:, place] *= np.array([0.9, 1.1])
     ends = [e.model.scatter(e.records, e.layout, one) for one in rows]
@@ -79,7 +78,7 @@ def scatter_information(e: Likelihood, row: np.ndarray, place: int) -> float:
 
 
 def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
-    """(n, K) estimates from each null run, or direction left open by healthy swims, of parameters with this Jacobian (K, m)."""
+    """(n, K) estimates of parameters with Jacobian (K, m) from each null run, or each direction left open by healthy swims."""
     n = e.draws
     alone = record_whitening(e.d, e.by_record, e.layout.record)
     factors, scaled = alone(e.factors), alone(jacobian)
@@ -97,7 +96,7 @@ def null_estimates(e: Likelihood, jacobian: np.ndarray) -> np.ndarray:
 
 
 def sd_over_records(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """(K,) standard deviations by the jackknife; record (m,) is the record of each value, -1 none."""
+    """(K,) standard deviations by the jackknife. record: (m,) record of each value, -1 for none."""
     n = int(record.max()) + 1
     steps = np.empty((n, len(white)))
     for k in range(n):
@@ -107,23 +106,24 @@ def sd_over_records(white: np.ndarray, z: np.ndarray, record: np.ndarray) -> np.
 
 
 def _regularised(normal: np.ndarray) -> np.ndarray:
-    """The matrix with a tiny part of its diagonal added: parameters without effect get wide intervals, not an error."""
+    """The matrix with a tiny share of its diagonal added, so that parameters without effect get wide intervals, not an error."""
     return normal + np.diag(1e-9 * np.diag(normal) + 1e-300) + 1e-12 * np.trace(normal) * np.eye(len(normal))
 
 
 def gains(search: EffectFitter, row: np.ndarray, places: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """(K,) gains of single parameters if they, each alone, are off a row (P,) by `away`: the change of the whitened residual."""
+    """(K,) gains |dz|^2 of changing each parameter alone by `away` from a row (P,); z: whitened residual."""
     rows = np.tile(row, (len(places), 1))
     rows[np.arange(len(places)), places] += away
     return np.sum((search.z(rows) - search.z(row[None])) ** 2, 1)
 
 
 def missed_sizes(search: EffectFitter, row: np.ndarray, gain: float) -> dict[str, dict]:
-    """Largest value at which each effect of one number, alone, gains less than asked: {effect: {value, null, unit, of_typical}}.
+    """Largest undetected size of each one-parameter effect, alone: {effect: {value, null, unit, of_typical}}.
 
-    A gain (`gains`) grows as the square of the size, which is corrected at a few values. Of a signed number the side that shows
-    less counts. value: None if none in range shows. of_typical: the size over the largest typical one. Effects that draw or need
-    an exact value are left out, and those that do not settle.
+    It is the value at which the gain (`gains`) reaches `gain`. The gain grows about as the square of the size; a few iterations
+    correct that. For a signed parameter the less visible sign counts. value: None if the effect is undetectable in its range.
+    of_typical: size over the largest typical one. Random effects, those that need an exact value, and those that do not converge
+    are left out.
     """
     model, low_high, limits = search.model, bounds(search.model)[:2], thresholds().intervals
     drawn = {x.name for x in draws(model)}
