@@ -107,7 +107,7 @@ def test_a_value_that_is_not_believable_is_not_named_and_one_beside_torques_is(p
     rivals = ({"name": "quadratic_friction@j1", "instead_of": "air_drag", "p_best": 0.5},)
     doubted = replace(v, rivals=rivals, warnings=("air drag: density = 400 kg/m3 lies on its bound",))
     assert with_indistinguishable(doubted, model, records, frozen(), 0) == doubted
-    beside = replace(doubted, warnings=("torques of 1.3 N m at j1 are left that no effect explains",))
+    beside = replace(doubted, warnings=("torques of 1.3 N m at j1 remain unexplained",))
     assert with_indistinguishable(beside, model, records, frozen(), 0).answer == "NAMED"
 
 

@@ -61,7 +61,7 @@ def test_small_residual_beside_a_name_is_not_said_to_hold_nothing():
     page = page_of()
     page.place = place
     (told,) = sections.where(page).parts
-    assert "nothing" not in told and "no larger than healthy robots leave (gap 3.61)" in told and "by the form" in told
+    assert "nothing" not in told and "no larger than that of healthy robots (gap 3.61)" in told and "by the form" in told
 
 
 def joint_of(t: np.ndarray, commands: np.ndarray) -> SimpleNamespace:

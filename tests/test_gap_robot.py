@@ -158,7 +158,7 @@ def test_map_of_german_logs_is_written_and_read(tmp_path, arm, capsys):
     assert find.main([*given, "--write-map", str(path)]) == 0
     text = path.read_text()
     assert '"elbow" = { column = "Winkel_2" }' in text and '# "elbow" = "COLUMN"' in text
-    assert "name the 2 columns" in capsys.readouterr().out
+    assert "add the 2 columns" in capsys.readouterr().out
     with pytest.raises(LogError, match=r"\[actuator\] shoulder, \[actuator\] elbow: are missing"):
         find.main([*given, "--columns", str(path)])
     for k, name in enumerate(("shoulder", "elbow"), 1):
@@ -464,7 +464,7 @@ def test_report_on_a_robot_is_checked_before_use(arm, tmp_path):
 def test_commands_of_fish_refuse_a_robot_in_one_line(arm, tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("t,pos1,pos2,cmd1,cmd2\n0,0,0,0,0\n0.01,0,0,0,0\n")
-    with pytest.raises(ConfigError, match="--water is of fish"):
+    with pytest.raises(ConfigError, match="--water is for fish only"):
         find.main([str(log), "--model", str(arm.path), "--water", "swift"])
     with pytest.raises(ConfigError, match="--same-robot is of fish"):
         check.main([str(arm.path), "--data", str(log), "--same-robot"])

@@ -59,7 +59,7 @@ def test_an_experiment_that_the_sets_do_not_hold_has_no_null(trials):
     plant, sets = solver.plant(), RecordedNull(folder=FOLDER / "nulls")
     assert sets.holds("gait") and not sets.holds("square") and SimulatedNull().holds("square")
     other = Trial({**trials[0].meta, "excitation": "mine"}, trials[0].tables, name="01_mine")
-    with pytest.raises(LogError, match="'mine' of record 01_mine was done by 0 of 48 fish.*The sets hold burst_and_coast, chirp"):
+    with pytest.raises(LogError, match="'mine' of record 01_mine exists for 0 of 48 fish.*The sets hold burst_and_coast, chirp"):
         sets.experiment(plant, record_of(other, plant.dt))
     with pytest.raises(LogError, match="0 null sets"):
         RecordedNull(folder=FOLDER)

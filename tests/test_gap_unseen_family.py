@@ -80,7 +80,7 @@ def test_swims_of_a_water_that_was_not_calibrated_are_refused(tmp_path):
 
 def test_no_swim_is_no_evidence(monkeypatch):
     monkeypatch.setattr(healthy_swims, "applies", lambda model: True)
-    with pytest.raises(LogError, match="got no healthy swim"):
+    with pytest.raises(LogError, match="no healthy swim found"):
         healthy_swims.read_healthy_swims(None, [], SimulatedNull())
 
 

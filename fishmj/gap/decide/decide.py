@@ -135,9 +135,9 @@ def decide(e: Likelihood, found: Selection, gates: Gates) -> Verdict:
 
 def truncated_series(names: Iterable[str]) -> tuple[str, ...]:
     """Doubts about torque offsets found beside the stiffness of their joint."""
-    alike = "any torque over the joint's angle begins as a series (cable, soft stop, spring with another rest angle)"
+    alike = "any torque over the joint's angle begins as a series: of a cable, a soft stop, a spring"
     pairs = ([title(f"{term}@{joint}") for term in SERIES] for joint in series_at(names))
-    return tuple(f"{offset} with {stiffness}: {alike}" for offset, stiffness in pairs)
+    return tuple(f"{offset}: with {stiffness} it is how {alike}" for offset, stiffness in pairs)
 
 
 def needs_exact_value(e: Likelihood, names) -> bool:

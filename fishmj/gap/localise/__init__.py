@@ -1,9 +1,9 @@
-"""Localisation of the gap, in words and numbers: channel and regime, lag, beat, world or body, left or right, time, growth.
+"""Localises the gap in words and numbers: channel and regime, lag, beat, world or body frame, left or right, time, growth.
 
     place = localise(compared(likelihood, linearised at after, before, after), gates.adequacy)
     place.text
 
-It does not decide on the missing effect; it describes the residual of the model, before and after the found effects.
+It does not decide which effect is missing; it describes the residual of the model before and after the found effects.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ class Localisation:
     """Description of the present model's residual.
 
     gap, gap_after: |z|^2 / m of the logs; up to `allowed` model and records agree. channels (C,), kinds (K,): names.
-    share, time: (C, K) of the gap beyond 1, of the channel's time. level: (C, K) mean of z^2, NaN
-    without data. locked: by channel, joint and heading.
-    thirds: channel -> (3,) mean square over the floor in the first, middle and last third of a record. session: channel -> its
-    slope over the session [1/s], relative to its mean, NaN if all records are of one time.
+    share, time: (C, K) shares of the gap above 1, and of the channel's time. level: (C, K) mean of
+    z^2, NaN without data. locked: lock to the tail beat, for joint and heading.
+    thirds: channel -> (3,) mean square over the floor in the first, middle and last third of a record. session: channel -> slope
+    of the mean square over the session [1/s], relative to its mean; NaN if all records have one time.
     bias: (J,) mean residual of each joint, rad.
     """
 
@@ -55,7 +55,7 @@ class Localisation:
 
 
 def localise(c: Comparison, allowed: float) -> Localisation:
-    """All diagnostics of a comparison. allowed: gap of healthy robots."""
+    """Computes all diagnostics of a comparison. allowed: largest gap of healthy robots."""
     channels, share, level, time = shares(c, kinds(c))
     found = patterns.stretches(c)
     gaps = [float(np.mean(ratio)) for ratio in c.ratio]

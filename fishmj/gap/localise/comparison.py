@@ -2,7 +2,7 @@
 
     share(channel, regime) = max(0, sum (z^2 - 1)) / sum of all cells        z whitened residual, as in the gap: |z|^2 / m
 
-Every half second counts once, under the most specific of its labels (log/regimes.py).
+Every half second counts once, with the most specific of its labels (log/regimes.py).
 """
 
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from fishmj.log.regimes import label
 
 
 class Comparison(NamedTuple):
-    """Records beside two parameter rows: the model before (0) and with the found effects (1); the same row twice without any.
+    """Records and their predictions by two parameter rows: present model (0), model with the found effects (1; if none, as 0).
 
     layout: of the logs, without weighings. scale: (m,) floor, standard deviation of the null runs' residual. rows: (2, P).
     predictions: `model.predict` of both rows. residuals: (2, m) measured minus predicted; whitened: (2, m) z of them.
@@ -44,12 +44,12 @@ class Comparison(NamedTuple):
 
     @property
     def over_floor(self) -> np.ndarray:
-        """(2, m) squared residuals over the floor, for patterns in time: z of a moment also depends on others."""
+        """(2, m) squared residuals over the floor, for patterns in time: whitening mixes z over time."""
         return (self.residuals / self.scale) ** 2
 
 
 def compared(e, near, before, after) -> Comparison:
-    """Rolls both rows out over the records of a likelihood `e` (search/likelihood.py); weighings are left out.
+    """Simulates both rows over the records of a likelihood `e` (search/likelihood.py); weighings are left out.
 
     near: the same likelihood, linearised at `after`.
     """
@@ -62,7 +62,7 @@ def compared(e, near, before, after) -> Comparison:
     return Comparison(e.model, logs, layout, e.scale[kept], rows, predictions, residuals[:, kept], whitened[:, kept])
 
 
-PRIORITY = (  # label, words; first what says most
+PRIORITY = (  # label, words; the most specific first
     ("joint_step", "joint steps"),
     ("torque_limited", "holding far from the command"),
     ("turn", "turns"),
@@ -77,7 +77,7 @@ OTHER = len(PRIORITY)
 
 
 def trial_of(record: Record) -> Trial:
-    """The record as tables again, for the labels."""
+    """The record as a trial again, for the labels."""
     stride = max(round(0.02 / record.dt), 1)
     commands = record.commands[::stride]
     tables = {"cmd": {"t": np.arange(len(commands)) * stride * record.dt, **numbered("c#", commands)}}
@@ -91,7 +91,7 @@ def trial_of(record: Record) -> Trial:
 
 
 def beat_of(record: Record) -> float:
-    """Period of the command's beat, s: median time between every second change of sign; 1 s without a beat."""
+    """Period of the command's beat, s: median time between every second zero crossing; 1 s without a beat."""
     c = record.commands - record.commands.mean(0)
     c = c[:, int(np.argmax(c.std(0)))]
     turns = np.flatnonzero(np.diff(np.sign(c[np.abs(c) > 1e-6])) != 0)
@@ -120,9 +120,9 @@ def kinds(c: Comparison) -> np.ndarray:
 
 
 def shares(c: Comparison, kind: np.ndarray) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """Channels; (C, K) each: share of the gap beyond 1, mean of z^2 (NaN without data), and share of the channel's time.
+    """(channels, share of the gap above 1, mean of z^2 (NaN without data), share of the channel's time), (C, K) each.
 
-    The start, which is a moment, has no share of the time.
+    The start, a single moment, has no share of the time.
     """
     names = tuple(dict.fromkeys(b.channel for b in c.layout.blocks))
     excess, time = np.zeros((2, len(names), len(KINDS)))

@@ -4,8 +4,8 @@
     slope of log e over log H: 0 a sensor, 1 a velocity (current, delay), 2 a force
 
 The state at t0 is a parabola through the stamps of poses and angles around it, less their latency (camera, and that of the row's
-effects). The error from the uncertainty of that state is subtracted in squares. A free run shows the consequence of a gap, a
-restart its cause.
+effects). The error from the uncertainty of that state is subtracted in squares. A restart shows how an error begins; a free run
+shows only its accumulated result.
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ from fishmj.gap.records.records import Record, Sensor
 HORIZONS = (0.1, 0.3, 1.0, 3.0)  # s
 EVERY = 0.4  # s between restarts
 AROUND = 0.05  # s to either side of a horizon over which errors are averaged
-HALF = {"joint": 0.06, "pose": 0.1}  # s to either side of a start through which its parabola is laid
+HALF = {"joint": 0.06, "pose": 0.1}  # s to either side of a start, for the parabola fit
 CHANNELS = {"joint": "rad", "position": "m", "heading": "rad"}
 DRAWS = 200
 
 
 class StampAges(NamedTuple):
-    """Ages of the stamped values, s; and the delay of a command to the servo, s."""
+    """Ages of measured values at their stamps, s, and the delay from a command to the servo, s."""
 
     command: float
     joint: float
@@ -42,7 +42,7 @@ class RestartState(NamedTuple):
 
 
 class GrowthSegment(NamedTuple):
-    """A part of a record that starts in mid-swing. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
+    """Part of a record that starts in motion. swing: (J,) joint rates at its start, rad/s; joint, pose: states there."""
 
     record: Record
     swing: np.ndarray
@@ -54,9 +54,9 @@ class GrowthSegment(NamedTuple):
 class GrowthCurve:
     """Growth curve of one channel.
 
-    before, after, start: (H,) rms error of the model before, with the found effects, and the largest error from the start's own
-    uncertainty. slope, low, high: of the found effects, or of the whole error without any, with a 90 % interval;
-    NaN if it does not rise above the start.
+    before, after, start: (H,) rms error of the present model, of the model with the found effects, and the largest error from
+    the uncertainty of the start. slope, low, high: growth of the part that the found effects explain, or of the whole error if
+    there are none, with a 90 % interval; NaN if it does not exceed the error of the start.
     """
 
     channel: str
@@ -72,7 +72,7 @@ class GrowthCurve:
 
     @property
     def kind(self) -> str:
-        """Kind of growth in words; "not told" if the slope is too uncertain."""
+        """Kind of growth in words; "not told" if the slope is too uncertain to decide."""
         if not np.isfinite(self.slope) or self.high - self.low > 1.5:
             return "not told"
         names = ("there at once", "like a velocity", "like a force")
@@ -83,11 +83,11 @@ class GrowthCurve:
 
 
 class RestartedModel(SwimmingFish):
-    """A fish that starts in mid-swing, with delayed commands pending."""
+    """A fish that starts in motion, with delayed commands pending."""
 
     def __init__(self, model: SwimmingFish, segments: list[GrowthSegment], late: StampAges):
         self.__dict__.update(model.__dict__)
-        self.latency = model.latency - late.command  # cut() has shifted them
+        self.latency = model.latency - late.command  # cut() has shifted the commands already
         self.swings = {s.record.name: s.swing for s in segments}
 
     def _starts(self, record: Record, effect_rows) -> np.ndarray:
@@ -105,9 +105,9 @@ def latencies(model: SwimmingFish, row: np.ndarray) -> StampAges:
 
 
 def cut(record: Record, t0: float, seconds: float, late: StampAges) -> GrowthSegment | None:
-    """Part of a record from t0 on, started from the state measured there; None if the stamps do not suffice.
+    """Part of a record from t0 on, with the state measured there; None if there are too few stamps.
 
-    t0: time of the events, s since the record's start; their stamps come later by `late`.
+    t0: physical time, s since the record's start; stamps are later by `late`.
     """
     if record.joint is None or record.pose is None:
         return None
@@ -138,7 +138,7 @@ def cut(record: Record, t0: float, seconds: float, late: StampAges) -> GrowthSeg
 
 
 def state_at(sensor: Sensor, t: float, half: float) -> RestartState | None:
-    """Parabola through the stamps within `half` s of t; None for fewer than five, or none on one side."""
+    """State from a parabola fit to the readings within `half` s of t; None if fewer than five, or none on one side."""
     some = np.abs(sensor.t - t) <= half
     if some.sum() < 5 or sensor.t[some][0] > t - 0.4 * half or sensor.t[some][-1] < t + 0.4 * half:
         return None
@@ -176,8 +176,8 @@ def errors(model: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
 
     NaN where a record ends before the horizon.
     """
-    # Each row restarts with its own latency. With the nominal one, a row that holds a delay would begin from past states, and its
-    # error would start at an offset that the delay already explains.
+    # Each row restarts with its own latency. With the nominal one, a row with a delay would start from past states, with an
+    # offset that the delay explains.
     late = latencies(model, row)
     found = segments(records, late)
     if not found:
@@ -193,11 +193,11 @@ def errors(model: SwimmingFish, records: list[Record], row: np.ndarray) -> tuple
             rest = sensor.values - predicted[name][0]
             for h, horizon in enumerate(HORIZONS):
                 some = np.abs(sensor.t - wait - horizon) <= AROUND
-                # Averaged about the horizon, not taken at one stamp: single-stamp noise would hide the errors of the first tenth
-                # of a second, which separate an offset from a velocity.
+                # Averaged around the horizon: the noise of a single reading would hide the errors of the first tenth of a second,
+                # which distinguish an offset from a velocity.
                 if some.sum() >= 3 and sensor.t[-1] >= wait + horizon:
                     error[s, h, columns] = rest[some].mean(0)
-                    moved = horizon if name == "pose" else 0.0  # a servo forgets its start
+                    moved = horizon if name == "pose" else 0.0  # a servo's error from its start decays
                     start[s, h, columns] = np.sqrt(state.value_sd**2 * (1 + 1 / some.sum()) + (moved * state.rate_sd) ** 2)
     return np.array([i for i, _ in found]), error, start
 
@@ -239,9 +239,9 @@ def _slope(owner, one, other, two, made, changed: bool) -> tuple[float, float, f
     rng = np.random.default_rng(0)
 
     def of(weights: np.ndarray) -> float:
-        # Records are drawn, not restarts: those of one record share its constants and its commands.
+        # The bootstrap draws records, not restarts, because restarts of one record share constants and commands.
         mean = lambda sq, who: _mean(sq, weights[who])
-        # Squares are subtracted, not errors: the error from the uncertain start, or the rest with the found effects, is
+        # Squares are subtracted, because the error from the start, or the remaining error with the found effects, is
         # independent of the effects' contribution. Below a fifth of the whole the difference is mostly noise.
         square = mean(one, owner) - (mean(two, other) if changed else mean(made, owner))
         floor = 0.2 * mean(one, owner)

@@ -11,9 +11,9 @@ LITTLE, MOST = 0.1, 0.5  # share of the gap
 
 
 def paragraph(p) -> str:
-    """Paragraph on the place of the gap."""
+    """Paragraph that localises the gap."""
     if nothing(p):
-        return f"As a whole the residual is no larger than healthy robots leave (gap {level(p.gap)}): it is too small to place."
+        return f"The residual is no larger than that of healthy robots (gap {level(p.gap)}): too small to localise."
     return " ".join(s for s in (where(p), beat(p), lag(p), frame(p), side(p), growth(p), speed(p), session(p)) if s)
 
 
@@ -58,7 +58,7 @@ def beat(p) -> str:
 
 
 def lag(p) -> str:
-    """Sentence on late channels, and the place of the delay."""
+    """Sentence on delayed channels, and on the place of the delay."""
     joint = p.lags.joint
     heading = p.lags.heading
     if joint is None and heading is None:
@@ -67,7 +67,7 @@ def lag(p) -> str:
     if significant(joint):
         left = p.lags.joint_after
         remains = p.gap_after < p.gap and significant(left) and abs(left.lag) < abs(joint.lag)
-        after = f", {ms(left)} of it left with what was found" if remains else ""
+        after = f", {ms(left)} of it with the found effects" if remains else ""
         behind = ""
         if p.lags.command is not None and p.lags.model is not None:
             behind = f" ({1e3 * p.lags.command.lag:.0f} ms behind the command instead of {1e3 * p.lags.model.lag:.0f})"
@@ -88,11 +88,11 @@ def conclusion(p) -> str:
     if joint is None or heading is None:
         return ""
     if significant(joint) and significant(heading) and compatible(joint, heading):
-        return "; the same within the intervals: upstream of the joint"
+        return "; equal within their intervals, so the delay is upstream of the joint"
     if significant(joint) and not significant(heading):
-        return ": at the joint's own sensor, or the water smooths it"
+        return ": the delay is in the joint's sensor, or the water smooths it"
     if significant(heading) and not significant(joint):
-        return ": downstream of the joint, in the water or in the camera's clock"
+        return ": the delay is downstream of the joint, in the water or the camera's clock"
     return ""
 
 
@@ -107,14 +107,14 @@ def frame(p) -> str:
     size = 1e3 * np.hypot(*vector)
     angle = math.degrees(math.atan2(vector[1], vector[0]))
     if f.points == "world":
-        what = f"{number(size)} mm/s towards {angle:.0f} deg of the tank, whatever the heading"
+        what = f"{number(size)} mm/s towards {angle:.0f} deg of the tank, independent of the heading"
         against = f"{percent(f.world_share)} of its drift, against {percent(f.body_share)} on the body"
-        return f"The position drifts off {what} ({against}): a current, or the camera's axes."
+        return f"The position drifts by {what} ({against}): a current, or the camera's axes."
     where_to = "ahead" if abs(angle) < 45 else "astern" if abs(angle) > 135 else "left" if angle > 0 else "right"
     own = "to the robot's own " if where_to in ("left", "right") else ""
     what = f"{number(size)} mm/s {own}{where_to}"
     against = f"{percent(f.body_share)} of its drift, against {percent(f.world_share)} in the tank"
-    return f"The position drifts off {what}, turning with the robot ({against}): thrust, drag or an offset."
+    return f"The position drifts by {what}, in a direction that turns with the robot ({against}): thrust, drag or an offset."
 
 
 def side(p) -> str:
@@ -125,9 +125,9 @@ def side(p) -> str:
     if abs(s.even) > 3 * s.even_sd and abs(s.even) > math.radians(0.3):
         to = "left" if s.even > 0 else "right"
         rate = abs(math.degrees(s.even))
-        return f"The robot turns {rate:.1f} deg/s more to the {to} whichever way it goes, as with an offset or asymmetry."
+        return f"The robot turns {rate:.1f} deg/s more to the {to} in turns to both sides, as with an offset or asymmetry."
     if abs(s.odd) > 3 * s.odd_sd and abs(s.odd) > 0.1:
-        return f"Turns are {percent(abs(s.odd))} {'stronger' if s.odd > 0 else 'weaker'} than the model's, alike to both sides."
+        return f"Turns are {percent(abs(s.odd))} {'stronger' if s.odd > 0 else 'weaker'} than the model's, equally to both sides."
     return ""
 
 
@@ -155,9 +155,9 @@ def speed(p) -> str:
 
 
 def session(p) -> str:
-    """Sentence on the change over the session."""
+    """Sentence on changes over the session."""
     drifting = [noun(name) for name, s in p.session.items() if math.isfinite(s) and abs(s) > 1e-3]
-    return f"It changes over the session in the {listed(drifting)}." if drifting else ""
+    return f"The residual changes over the session in the {listed(drifting)}." if drifting else ""
 
 
 def ms(lag) -> str:

@@ -1,14 +1,14 @@
 """Patterns of the residual: lag of every channel, lock to the tail beat, growth with the command's speed, world or body, side.
 
-Lags, behind the model and behind the command, are cross-correlations of rates with their bootstrap intervals (log/timebase.py),
-over all records in which the channel moves, joined with pauses between. Where the command beats,
+Lags behind the model and behind the command come from cross-correlations of rates, with bootstrap intervals (log/timebase.py),
+over all records in which the channel moves, concatenated with pauses. During a tail beat,
 
     r(t) = p0 + p1 t + g c(t) + h H[c](t)     in windows of two beats at least;  H quarter of a beat later (Hilbert transform)
 
-locked = share of the residual's variance about its straight line that g and h explain, corrected for their number. g < 0: too
-small a motion, h: too late a motion.
+locked = share of the residual's variance about its straight line that g and h explain, corrected for degrees of freedom. g < 0:
+the motion is too small; h: it is too late.
 
-The gap of the position may have a direction in the tank, or on the robot; that of the heading may have a side:
+The gap of the position may have a direction fixed in the tank or on the robot; that of the heading may have a side:
 
     dr/dt of the position's residual = a + R(heading) b       a [m/s] fixed in the world: current, swirl, tether, camera axes
                                                               b [m/s] fixed on the body: thrust, drag, offsets
@@ -31,16 +31,16 @@ from fishmj.log.timebase import Lag, lag_between
 
 # --------------------------------------------------------------------------------------------------------------------------- lags
 PAUSE = 3.0  # s between records
-SAME = 0.006  # s, lags closer than this are not told apart: what a servo within its tolerance makes
+SAME = 0.006  # s, least difference of lags that counts: a servo within its tolerance makes less
 REACH = 0.25  # s
-MOVES = {"joint": 0.03, "heading": 0.05}  # rad, standard deviation from which a record has something to compare
+MOVES = {"joint": 0.03, "heading": 0.05}  # rad, least standard deviation of a record that is compared
 
 
 class Lags(NamedTuple):
     """Lags of the channels; None if not found. Positive: measured comes later.
 
     joint, heading: measured behind the model; *_after: with the found effects. command: joint behind the command; model: the
-    model's joint behind it. residual: rest of the joints, behind the command.
+    model's joint behind the command. residual: joint residual behind the command.
     """
 
     joint: Lag | None
@@ -70,7 +70,7 @@ def lags(c: Comparison) -> Lags:
 
 
 def between(a: str, earlier, b: str, later, either_sign: bool = False) -> Lag | None:
-    """The lag, or None if it is not found: too short, too weak, too wide an interval, or another peak as high."""
+    """The lag; None if the data are too short or weak, its interval is too wide, or another peak is as high."""
     if earlier is None or later is None:
         return None
     try:
@@ -106,18 +106,18 @@ def significant(lag: Lag | None) -> bool:
 
 
 def compatible(a: Lag | None, b: Lag | None) -> bool:
-    """Returns True if two lags may be equal."""
+    """Returns True if two lags are equal within their intervals."""
     return a is not None and b is not None and a.low - SAME <= b.high and b.low - SAME <= a.high
 
 
 # ------------------------------------------------------------------------------------------------------------------ beat and rate
-LEAST = 0.05  # rad, standard deviation of a command that beats
+LEAST = 0.05  # rad, least standard deviation of a beating command
 BINS = 5
-RECENT = 0.25  # s, in which a command has become a motion
+RECENT = 0.25  # s, time in which a command becomes a motion
 
 
 class BeatLock(NamedTuple):
-    """Lock to the beat. locked: share of the variance. behind: phase of that part after the command, rad. windows: fitted."""
+    """Lock to the tail beat. locked: share of the variance. behind: its phase behind the command, rad. windows: number fitted."""
 
     locked: float
     behind: float
@@ -125,7 +125,7 @@ class BeatLock(NamedTuple):
 
 
 class BeatRates(NamedTuple):
-    """Mean square of the joint residual, × floor, by speed of the command: middle (B,) rad/s, level (B,), B up to BINS."""
+    """Mean square of the joint residual over the floor, level (B,), by speed of the command, middle (B,) rad/s, B up to BINS."""
 
     middle: np.ndarray
     level: np.ndarray
@@ -162,7 +162,7 @@ def beat(c: Comparison, channel: str) -> BeatLock | None:
             left = r - columns @ value
             total += float(rest @ rest)
             taken += float(rest @ rest - left @ left)
-            spare += 2.0 * float(left @ left) / (some.sum() - 4)  # what two columns take by chance
+            spare += 2.0 * float(left @ left) / (some.sum() - 4)  # share that two columns explain by chance
             turned += (value[2] - 1j * value[3]) * np.mean(np.abs(at[some]) ** 2)
             windows += 1
     if not windows or total <= 0:
@@ -171,7 +171,7 @@ def beat(c: Comparison, channel: str) -> BeatLock | None:
 
 
 def analytic(values: np.ndarray) -> np.ndarray:
-    """(T,) c + i H[c], its mean removed; the ends are tapered by mirroring."""
+    """(T,) analytic signal c + i H[c] without its mean; the ends are extended by mirroring."""
     values = values - values.mean()
     n = len(values)
     spectrum = np.fft.fft(np.concatenate([values, -values[::-1]]))
@@ -211,12 +211,12 @@ def by_rate(c: Comparison) -> BeatRates | None:
 STRETCH, EVERY, BLOCK = 2.0, 1.0, 4.0  # s
 DRAWS = 400
 OCTANTS = 8
-TURNS = 0.3  # rad/s, spread of the turning rate from which its share in the residual can be told
-BEATS = 0.03  # rad, standard deviation of a command that moves
+TURNS = 0.3  # rad/s, least standard deviation of the turning rate to fit its share in the residual
+BEATS = 0.03  # rad, least standard deviation of a moving command
 
 
 class FrameResidual(NamedTuple):
-    """Residual of the velocity over ground. world, body: (2,) m/s with sd; *_share: of its weighted mean square, each alone.
+    """Residual of the velocity over ground. world, body: (2,) m/s with sd; *_share: of its mean square that each explains alone.
 
     octant: (8, 2) weighted mean residual ahead and to the left, m/s, by heading (0 = along +x).
     """
@@ -314,7 +314,7 @@ def frame(found: list[RecordStretch]) -> FrameResidual | None:
 
 
 def side(found: list[RecordStretch]) -> Side | None:
-    """Even and odd part of the turn's residual while the joints move, since rest shows no side; None without a pose."""
+    """Even and odd part of the residual turning rate while the joints move; None without a pose."""
     found = [s for s in found if s.beats]
     if len(found) < 4:
         return None
@@ -324,7 +324,7 @@ def side(found: list[RecordStretch]) -> Side | None:
     columns = np.stack([np.ones(len(found)), turning], 1)[:, None]
     both = turning.std() > TURNS
     value, sd = _fit(columns if both else columns[..., :1], spin[:, None], weight, _blocks(found))
-    if not both:  # nothing turns: only the even part can be told
+    if not both:  # no turns: only the even part can be fitted
         value = np.append(value, 0.0)
         sd = np.append(sd, np.inf)
     means = [float(np.mean(spin[some])) if (some := sign * turning > 0.1).any() else np.nan for sign in (1, -1)]

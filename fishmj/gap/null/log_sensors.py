@@ -1,11 +1,11 @@
-"""Applies the sensors of the logs to the second robot, so that a null fish is measured like the logged one.
+"""Applies the sensors of the logs to the second robot, so that null fish are measured like the logged one.
 
     noise      `sigma` of meta.toml if it states one: columns of the tables; `start` [m] and `start_yaw` [rad], the error of
                placing the fish at its start
-    moments    if a sensor has more or fewer rows than at the robot's own rate (another rate, lost rows), null
-               fish are sampled at the log's own time stamps
+    moments    if a sensor's row count does not match the robot's own rate (another rate, lost rows), null fish are sampled at
+               the log's time stamps
 
-Logs with the second robot's noise and rates leave it unchanged, to the last bit.
+Logs with the second robot's own noise and rates change nothing, to the last bit.
 """
 
 import hashlib
@@ -16,8 +16,8 @@ import numpy as np
 from fishmj.gap.records.records import Record
 from fishmj.mjcf.description import Robot
 
-ALIKE = 1e-3  # relative, of a noise that is the second robot's own
-ROWS = 0.05  # share of rows, too many or too few, that is still its own rate
+ALIKE = 1e-3  # relative difference up to which a noise counts as the second robot's own
+ROWS = 0.05  # share of surplus or missing rows up to which a sensor has its own rate
 SENSORS = ("joint", "pose", "power")
 LEAST = 1e-9  # rad, of a count
 
@@ -30,7 +30,7 @@ class LogSensors(NamedTuple):
 
     @property
     def key(self) -> list:
-        """Settings that determine null runs, for a hash; empty if the second robot's own sensors match the logs'."""
+        """Settings that determine null runs, for a hash; empty if the logs have the second robot's own sensors."""
         read = {name: hashlib.sha256(t.tobytes()).hexdigest()[:16] for name, t in sorted(self.stamps.items())}
         return [sorted(self.fields.items()), read] if self.fields or read else []
 
@@ -45,7 +45,7 @@ def log_sensors(record: Record, robot: Robot, noise: float) -> LogSensors:
     fields: dict[str, float] = {}
 
     def told(*columns: str) -> float:
-        """Root mean square of the stated noise of columns that share one; NaN if nothing is stated, or the usual value."""
+        """Root mean square of the stated noise of columns; NaN if none is stated or it is the usual value."""
         known = [stated[c] for c in columns if c in stated]
         rms = float(np.sqrt(np.mean(np.square(known)))) if known else np.nan
         return np.nan if abs(rms - usual[columns[0]]) <= ALIKE * usual[columns[0]] else rms
@@ -62,18 +62,18 @@ def log_sensors(record: Record, robot: Robot, noise: float) -> LogSensors:
         if np.isfinite(sigma := told(*columns)):
             fields[field] = sigma / factor
     if np.isfinite(sigma := told(*(f"j{j + 1}" for j in range(robot.n_joints)))):
-        step = min(made.network.angle_step, sigma * np.sqrt(12.0))  # counts are part of what is stated
+        step = min(made.network.angle_step, sigma * np.sqrt(12.0))  # the stated noise includes the encoder's counts
         fields["network.angle_step"] = max(step, LEAST)
         fields["network.angle_noise"] = float(np.sqrt(max(sigma**2 - step**2 / 12.0, 0.0))) / factor
     periods = {"joint": made.network.period, "pose": made.camera.period, "power": made.meter.period}
     stamps = {name: t for name in SENSORS if (t := _other_rate(record, name, periods[name])) is not None}
     jitter = {"joint": "network.stamp_jitter", "pose": "camera.jitter"}
-    fields |= {field: 0.0 for name, field in jitter.items() if name in stamps}  # the log's stamps have theirs
+    fields |= {field: 0.0 for name, field in jitter.items() if name in stamps}  # the log's stamps contain its jitter already
     return LogSensors(fields, stamps)
 
 
 def _other_rate(record: Record, name: str, period: float) -> np.ndarray | None:
-    """The stamps (K,) of a sensor whose rows do not match the period [s]; None if they match, or are too few to tell."""
+    """Stamps (K,) of a sensor whose row count does not match the period [s]; None if it matches or there are too few rows."""
     sensor = getattr(record, name)
     if sensor is None or len(sensor.t) < 2:
         return None

@@ -2,10 +2,10 @@
 
     s* = argmin sum_k ((v_k(s) - v_k) / tolerance)^2 + sum (ln s / WIDE)^2        v: speed and yaw rate of `SWIMS`
 
-A model with calibrated water (`fishmj calibrate water` states `[water] model = "structured"`) swims like the logged fish, but
-the second robot in its own water does not: a null with an error of tens of per cent in speed is useless. Four scales leave the
-second robot its own equations. The remaining difference is that of two forms of water calibrated to one fish. A description of
-literature values is not scaled: the second robot's water is of that kind, too.
+A model with calibrated water (`fishmj calibrate water` states `[water] model = "structured"`) swims like the logged fish. The
+second robot in its own water does not: its speed is off by tens of per cent, which makes a useless null. Four scales correct that
+and keep the second robot's equations, so what remains is the difference of two forms of water calibrated to one fish. A
+description with literature values is not scaled, because the second robot's water has such values too.
 """
 
 from collections.abc import Callable
@@ -24,12 +24,12 @@ from fishmj.water.choice import STRUCTURED
 from fishmj.water.dynamics.tolerance import of_movement
 
 SWIMS = ("gait", "gait_slow", "gait_fast", "gait_small", "turn_left", "tow_ahead", "tow_sideways")
-WIDE = 0.7  # standard deviation of ln s before anything is seen (chosen: a factor of two)
-STEP, ROUNDS = 0.05, 8  # of ln s, for slopes; at most
+WIDE = 0.7  # prior standard deviation of ln s (chosen: a factor of two)
+STEP, ROUNDS = 0.05, 8  # difference of ln s for slopes; largest number of iterations
 
 
 def scales_for(model, bars: Bars = silent_bar) -> WaterScales:
-    """Scales for a questioned model, found once a process; unit scales if its water was never calibrated."""
+    """Scales for a searched model, found once per process; unit scales if its water was never calibrated."""
     key = repr(model.robot)
     if model.robot.water.get("model") != STRUCTURED:
         return AS_IT_IS

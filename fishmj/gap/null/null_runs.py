@@ -1,14 +1,14 @@
 """Null runs: the experiments of the records repeated in an independent simulator without any hidden effect.
 
-    residuals(model, records, layout) -> (n, m)      the model's residuals on n fish of this kind under the very same commands
+    residuals(model, records, layout) -> (n, m)      the model's residuals on n simulated fish with the same commands
 
-The simulator is `virtual_robot`: other equations for water, servos, network and camera; the questioned model's own links, servos
-and timing, without the effects that it lists; the sensors of the logs (log_sensors.py); constants drawn within their tolerance,
-one fish for all experiments of a set. The result of an experiment is kept on disk under the hash of all its inputs, the code of
-simulator and model too (`digest`), so a standard experiment is run once a machine.
+The simulator is `virtual_robot`. It has its own equations for water, servos, network and camera; the searched model's links,
+servos and timing, without the effects that the model lists; the sensors of the logs (log_sensors.py); and constants drawn within
+their tolerance, the same in all experiments of one fish. Results are cached on disk under the hash of all inputs, including the
+code of simulator and model (`digest`), so a standard experiment is run once per machine.
 
-`RecordedNull` uses runs swum elsewhere (data/gap/lbm/nulls: of the flow solver). It makes no new runs: an
-experiment outside the sets has no null.
+`RecordedNull` uses recorded runs (data/gap/lbm/nulls: of the flow solver). It makes no new ones, so an experiment outside the
+sets has no null.
 """
 
 import ast
@@ -40,10 +40,10 @@ from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
 
 Tick = Callable[[int], None]
-SEED = 1_000_000  # null runs are drawn beyond every seed that a data set may have
+SEED = 1_000_000  # first seed of null runs, above those of data sets
 RUNS = 96
-MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # that may be asked for
-FEWEST = 12  # fish of recorded runs
+MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # largest allowed settings
+FEWEST = 12  # least number of fish in recorded runs
 ALIKE = 1e-3  # rad between two commands, m and rad between two starts
 SIMULATOR = ("fishmj.gap.laboratory.virtual_robot.trials", "fishmj.gap.null.log_sensors", "fishmj.gap.null.matched_water")
 SOURCES = Path(fishmj.__file__).resolve().parent
@@ -53,25 +53,24 @@ SOURCES = Path(fishmj.__file__).resolve().parent
 class SimulatedNull:
     """Settings of the null runs.
 
-    runs: of each experiment. nuisance: relative half width of the unmeasured constants. noise: factor on the
-    sensors' unless the logs state it, and on the radio's jitter. session: number that repeats the same experiments with the same
-    fish and other noise.
+    runs: per experiment. nuisance: relative half width of the unmeasured constants. noise: factor on the radio's jitter, and on
+    the sensors' noise unless the logs state it. session: another number repeats the experiments with the same fish and new noise.
     """
 
     runs: int = RUNS
     nuisance: float = 0.1
     noise: float = 1.0
     seed: int = 0
-    without: str | tuple[str, ...] = ""  # family whose fish take no part
+    without: str | tuple[str, ...] = ""  # family whose fish are left out
     session: int = 0
 
     @property
     def text(self) -> str:
         """Words for the runs."""
-        return f"{self.runs} runs of every record in an independent simulator with nothing hidden"
+        return f"{self.runs} runs of every record in an independent simulator without any hidden effect"
 
     def residuals(self, model, records: list[Record], layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:
-        """(n, m) residuals of the present model on every null run, at the windows of `layout`. bars: of new runs."""
+        """(n, m) residuals of the present model on every null run, in the windows of `layout`. bars: progress of new runs."""
         self.prepare(model, records, bars)
         out = np.empty((self.runs, layout.size))
         for i, record in enumerate(records):
@@ -87,12 +86,12 @@ class SimulatedNull:
         return out
 
     def prepare(self, model, records: list[Record], bars: Bars) -> None:
-        """Makes the missing runs, all of them under one bar; equal experiments are run once."""
+        """Makes the missing runs under one progress bar; equal experiments are run once."""
         whats = {self._key(model, record, what): record for record in records for what in (as_excitation(record),)}
         anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
         if not anew:
             return
-        self.scales_of_water(model, bars)  # they have a bar of their own
+        self.scales_of_water(model, bars)  # has its own progress bar
         with bars(self.runs * len(anew), "null runs", "runs") as bar:
             for i, record in enumerate(anew):
 
@@ -106,11 +105,11 @@ class SimulatedNull:
         return scales_for(model, bars)
 
     def holds(self, excitation: str) -> bool:
-        """Returns True if that experiment can have null runs."""
+        """Returns True if null runs of that experiment are possible."""
         return True
 
     def experiment(self, model, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
-        """Residuals of one experiment: sensor and column -> (n, windows), from disk or made now. tick: number of runs."""
+        """{sensor and column: (n, windows)} residuals of one experiment, cached or new. tick: gets the number of runs."""
         what = as_excitation(record)
         path = kept_at(self._key(model, record, what))
         try:
@@ -118,7 +117,7 @@ class SimulatedNull:
         except StoreError:
             pass
         runs = self._run(model.robot, what, record, tick, self.scales_of_water(model))
-        predictions = model.predict(runs, getattr(model, "nothing", model.null))  # the floor is that of no effect at all
+        predictions = model.predict(runs, getattr(model, "nothing", model.null))  # the floor of a model without any effect
         rows: dict[str, list] = {}
         for run, prediction in zip(runs, predictions, strict=True):
             layout = ResidualLayout([run])
@@ -134,17 +133,17 @@ class SimulatedNull:
     def _run(
         self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
     ) -> list[Record]:
-        """The experiment with every fish of the set: each is `robot` with its own constants. scales: of its water."""
+        """Records of the experiment with every fish: `robot` with its own constants each. scales: of its water."""
         from fishmj.gap.laboratory.virtual_robot.trials import plant, trial_of
 
         flow = (float(np.hypot(*record.flow)), float(np.arctan2(record.flow[1], record.flow[0])))
         stream = {"tank.flow_x": record.flow[0], "tank.flow_y": record.flow[1]}
         sensors = log_sensors(record, robot, self.noise)
         told = (what.id, what.start) if not self.session else (what.id, what.start, self.session)
-        index = crc32(repr(told).encode()) % 100_000  # noise of its own for each experiment
+        index = crc32(repr(told).encode()) % 100_000  # independent noise for each experiment
 
         def one(run: int) -> Record:
-            for attempt in range(10):  # a fish that leaves the finite numbers is drawn again
+            for attempt in range(10):  # a diverged fish is drawn again
                 seed = SEED + self.seed * 100_000 + run + attempt * 10_000
                 made = plant({}, seed, nuisance=self.nuisance, robot=robot, medium=record.medium, scales=scales).with_fields(
                     stream | sensors.fields
@@ -166,14 +165,14 @@ class SimulatedNull:
         drawn = [self.runs, self.nuisance, self.noise, self.seed, log_sensors(record, model.robot, self.noise).key]
         drawn += [self.session] if self.session else []
         done = [*WINDOW, record.dt, record.medium, *record.flow, *what.start, *what.push]
-        swims = hashlib.sha256(repr(model.robot).encode()).hexdigest()[:16]  # the effects it lists take no part in either
+        swims = hashlib.sha256(repr(model.robot).encode()).hexdigest()[:16]  # neither uses the effects that it lists
         made = [digest(*SIMULATOR), sha256(resolve("virtual_robot")), model_digest(model)]
         text = json.dumps([*made, swims, model.fingerprint, what.id, drawn, done])
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
 def kept_at(key: str) -> Path:
-    """Path of an experiment's kept residuals."""
+    """Path of an experiment's cached residuals."""
     return cache_folder() / "null" / f"{key}.npz"
 
 
@@ -196,7 +195,7 @@ def as_excitation(record: Record) -> Excitation:
 
 @dataclass(frozen=True)
 class RecordedNull(SimulatedNull):
-    """folder: one bundle (.npz) a fish. without: names of bundles left out. The draws of `SimulatedNull` are not used."""
+    """folder: one bundle (.npz) per fish. without: names of bundles to leave out. The draws of `SimulatedNull` are unused."""
 
     folder: Path = Path()
     without: tuple[str, ...] = ()
@@ -209,7 +208,7 @@ class RecordedNull(SimulatedNull):
         """Bundles of the fish in use. Raises LogError: too few."""
         found = [path for path in sorted(self.folder.glob("*.npz")) if path.stem not in self.without]
         if len(found) < FEWEST:
-            raise LogError(f"{self.folder}: {len(found)} null sets; a floor needs {FEWEST} fish or more")
+            raise LogError(f"{self.folder}: {len(found)} null sets; at least {FEWEST} fish are needed")
         return found
 
     def scales_of_water(self, model, bars: Bars = silent_bar) -> WaterScales:
@@ -223,11 +222,11 @@ class RecordedNull(SimulatedNull):
     def _run(
         self, robot: Robot, what: Excitation, record: Record, tick: Tick = lambda done: None, scales: WaterScales = AS_IT_IS
     ) -> list[Record]:
-        """The experiment of every fish; noise, constants and water are those of the recording."""
+        """Recorded trials of the experiment, one per fish, with the noise, constants and water of the recording."""
         out = [record_of(trial, record.dt) for path in self.bundles for trial in trials_of(path) if _same(trial, what, record)]
         if len(out) != len(self.bundles):
             held = ", ".join(sorted({str(t.value("excitation")) for t in trials_of(self.bundles[0])}))
-            did = f"experiment {what.id!r} of record {record.name} was done by {len(out)} of {len(self.bundles)} fish"
+            did = f"experiment {what.id!r} of record {record.name} exists for {len(out)} of {len(self.bundles)} fish"
             raise LogError(f"{self.folder}: {did}; expected all. The sets hold {held}")
         return out
 
@@ -244,7 +243,7 @@ def trials_of(path: Path) -> tuple[Trial, ...]:
 
 
 def _same(trial: Trial, what: Excitation, record: Record) -> bool:
-    """Returns True if a trial is that experiment: same name, commands, start and motion."""
+    """Returns True if a trial is that experiment, with the same name, commands and start."""
     if str(trial.value("excitation", "")) != what.id:
         return False
     other = record_of(trial, record.dt)
@@ -263,8 +262,8 @@ def null_of(drawn: dict) -> SimulatedNull:
 def digest(*modules: str) -> str:
     """Hash of the source of `modules` (dotted names within fishmj) and of everything in fishmj that they import.
 
-    Imports are read from the source, those inside functions too, so that no list is kept by hand. A package counts by its
-    `__init__.py` and by its imported modules; modules found by name at run time (the effects of the catalogue) do not count.
+    Imports are read from the source, including those inside functions, so no list must be maintained. A package counts with its
+    `__init__.py` and its imported modules. Modules found by name at run time (the effects of the catalogue) are not included.
     """
     files = reached(*modules)
     text = b"".join(name.encode() + b"\0" + files[name].read_bytes() + b"\0" for name in sorted(files))

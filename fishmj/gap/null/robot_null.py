@@ -1,12 +1,12 @@
-"""Null of a robot described in MJCF: the model in question with drawn constants over the logged segments, and sensor noise.
+"""Null of a robot in MJCF: the searched model with random constants over the logged segments, plus sensor noise.
 
     r_i = predicted(constants_i) - predicted + noise      constants within their stated tolerance (data/calib/robot.toml)
 
-Each draw starts every segment from the logged state: under logged commands a drawn robot would soon leave the logged path. The
-errors of those starts, and torques that no model explains, are errors of one record each (`RigidRobot.record_errors`).
+Each draw starts every segment from the logged state, because with logged commands a random robot would soon leave the logged
+path. Errors of those starts and unexplained torques are separate in each record (`RigidRobot.record_errors`).
 
-The draws come from the model's own integrator, not from an independent one. So the error of its equations is the stated
-tolerance of `torque`, and is not measured.
+The draws use the model's own integrator, not an independent one. So the error of its equations is not measured: it is the stated
+tolerance of `torque`.
 """
 
 from collections.abc import Sequence
@@ -29,16 +29,16 @@ class RobotNull:
     noise: float = 1.0
     seed: int = 0
     without: str = ""
-    kept: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False, compare=False)  # of each set of records
+    kept: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False, compare=False)  # residuals of each set of records
 
     @property
     def text(self) -> str:
-        """Words for what is drawn."""
-        return f"{self.runs} draws of the model within its tolerances, with the noise of the logs and nothing hidden"
+        """Sentence on the null runs."""
+        return f"{self.runs} draws of the model within its tolerances, with the noise of the logs, without any hidden effect"
 
     @staticmethod
     def key(model, records: Sequence, layout: ResidualLayout) -> tuple:
-        """Place in `kept` of a set of records."""
+        """Key of a set of records in `kept`."""
         return (id(model.robot), layout.size, *(record.mark for record in records))
 
     def residuals(self, model, records: list, layout: ResidualLayout, bars: Bars = silent_bar) -> np.ndarray:

@@ -1,21 +1,21 @@
 """Structural error: effect of other forms of water and other servos on the records of a healthy robot.
 
-A calibrated water is right on average. Another form of water needs other coefficients of the strips in each kind of motion,
-and from moment to moment if the wake has memory. Every servo has some friction and some milliseconds of delay:
+A calibrated water is right on average. To match another form of water, the strip coefficients would have to differ between kinds
+of motion, and over time if the wake has memory. Every servo has some friction and a few milliseconds of delay:
 
-    theta_lk(t) = theta_k + sigma_k (w_k e_lk + s_k sum_i a_lki B_i(t))     record l, number k of the strips (strip_water.py)
-    phi_j       = v_j e_j                       parameter j of an effect that healthy robots have a little of; all e, a ~ N(0, 1)
+    theta_lk(t) = theta_k + sigma_k (w_k e_lk + s_k sum_i a_lki B_i(t))     record l, strip parameter k (strip_water.py)
+    phi_j       = v_j e_j                       parameter j of an effect that is small in healthy robots; all e, a ~ N(0, 1)
     B_i         hat functions every `SPACING`, linear in between
-    S          += sum over all of these of c c^T, c their tangents, + diag(rho_c^2 R^2)       R rms of the null runs, smoothed
+    S          += sum of c c^T over all of these, c: their tangents, + diag(rho_c^2 R^2)      R: smoothed rms of the null runs
 
-The first are correlated over time, like the error of a force law, and differ from record to record, so that an effect that
-is the same in all of them stands out. The second are the same in all. The last is the unexplained rest, by channel c.
+The first line is correlated over time, like the error of a force law, and independent between records, so an effect common to
+all records stands out. The second is common to all records. The last is the unexplained rest, by channel c.
 
-w, s, v and rho are measured (`python -m studies.structural_error`): the most likely ones for healthy robots of independent
-waters, each calibrated to its own free swims. data/calib/structural_error.toml has them, and those without each family, with
-which a benchmark scores that family.
+w, s, v and rho are measured (`python -m studies.structural_error`): the most likely values for healthy robots in
+independent waters, each calibrated to its own free swims. They are in data/calib/structural_error.toml, also without each family:
+a benchmark scores a family with values from the others.
 
-Directions of a record with less than `STRONG` of D^1/2 go onto the diagonal: they are not worth a factor.
+Directions of a record smaller than `STRONG` of D^1/2 are added to the diagonal instead of as factors.
 """
 
 from dataclasses import replace
@@ -38,24 +38,24 @@ FILE = "structural_error.toml"
 FORMULA = "formula_error.toml"
 SCHEMA = "fishmj.structural_error/1"
 ALL = "all"
-NEVER = ("", "second_robot")  # no robot of theirs took part: the null runs are the second robot's
-STEP = 0.02  # of sigma, of the finite differences
+NEVER = ("", "second_robot")  # families without a robot in the measurement: the null runs are the second robot's
+STEP = 0.02  # finite difference, in units of sigma
 SPACING = 1.5  # s: a body length at the speed of a gait (chosen)
-OWN_PRIOR = 4.0  # observations of each width that those of other waters count as, against a robot's own (chosen)
-OWN_ROUNDS = 10  # of the algorithm, from the widths of other waters
-TINY = 1e-12  # variance that stands for none
-STRONG = 1.0  # of D^1/2, singular value from which a direction of a record is a factor of its own
+OWN_PRIOR = 4.0  # weight of the widths of other waters, as a number of observations of a robot's own (chosen)
+OWN_ROUNDS = 10  # iterations, starting from the widths of other waters
+TINY = 1e-12  # variance in place of zero
+STRONG = 1.0  # singular value, in units of D^1/2, from which a direction of a record is a factor
 
 
 class StructuralErrorScales(NamedTuple):
-    """per_record, within_record: w and s by name of a number of the strips. effects: v, SI, by effect and parameter.
+    """per_record, within_record: w and s by name of a strip parameter. effects: v, SI, by effect and parameter.
 
     channels: rho.
 
     adequacy: 95th percentile of |z|^2 / m over healthy robots of a held-out family. beyond_own: 95th percentile, over robots of a
     held-out family, of |z|^2 / m on new experiments relative to that on their calibration swims. gains: largest fall of |z|^2 per
-    record that any effect of a stage achieves on those robots. formula: by stage, relative error of the size that a formula needs
-    in the water of a held-out family.
+    record by any effect of a stage on those robots. formula: by stage, relative error of an effect's fitted size in the water of
+    a held-out family.
     """
 
     per_record: dict[str, float]
@@ -74,12 +74,12 @@ class StructuralErrorScales(NamedTuple):
 
 
 class StructuralError(NamedTuple):
-    """shared (J, m), by_record (K_l, m_l) of each record, variance (m,): S += the squares of the first two + diag(variance)."""
+    """Terms of S: S += F^T F for the factors shared (J, m) and by_record (K_l, m_l) of each record, + diag(variance (m,))."""
 
     shared: np.ndarray
     by_record: tuple[np.ndarray, ...]
     variance: np.ndarray
-    moved: "Tangents | None" = None  # what it was made of
+    moved: "Tangents | None" = None  # tangents from which it was made
 
     @property
     def total(self) -> np.ndarray:
@@ -90,7 +90,7 @@ class StructuralError(NamedTuple):
 
 @cache
 def widths(without: str = "") -> StructuralErrorScales:
-    """Scales over all families, or as measured without one of them. Raises UnknownName."""
+    """Scales measured over all families, or without one of them. Raises UnknownName."""
     table = read_toml(calib_folder() / FILE)
     if (key := ALL if without in NEVER else without) not in table:
         raise UnknownName("family of the structural error", without, sorted(set(table) - {ALL, "schema"}))
@@ -101,7 +101,7 @@ def widths(without: str = "") -> StructuralErrorScales:
 def applies(model) -> bool:
     """Returns True for a swimming fish with calibrated water.
 
-    A model of literature values may be wrong by any amount: its null runs, in a water of that kind, stand alone.
+    A model with literature values may be wrong by any amount, so it has null runs only, in a water with such values.
     """
     return isinstance(model, SwimmingFish) and model.robot.water.get("model") == STRUCTURED
 
@@ -109,7 +109,7 @@ def applies(model) -> bool:
 def of(
     model, records, layout, null: np.ndarray, leftover: np.ndarray, given: StructuralErrorScales, moved: "Tangents | None" = None
 ) -> StructuralError:
-    """The structural error of records; for a model to which it does not apply, the errors of single records that it states.
+    """Structural error of records; for a model to which it does not apply, only the `record_errors` of the model.
 
     Args:
         null: (n, m) residuals of null runs. leftover: (m,) D^1/2 without it. moved: tangents of these records, if known.
@@ -136,7 +136,7 @@ def own_widths(
 
         u <- u ((seen + nu u_0 / u^2) / (expected + nu / u))^1/2        variances u, those of other waters u_0 (variances.py)
 
-    Those of other waters count as `OWN_PRIOR` observations, a scaled inverse chi-squared: undetermined values stay.
+    The prior, a scaled inverse chi-squared, counts other waters as `OWN_PRIOR` observations; undetermined values stay.
 
     Args:
         layout, null (n, m), leftover (m,), moved, residual (m,): of the swims.
@@ -175,9 +175,9 @@ def own_widths(
 
 
 def allowed(gates: Gates, given: StructuralErrorScales, calibration_residual: float = 0.0) -> Gates:
-    """The gates, widened by the residuals of healthy robots of an unknown water, before and after a search, and by their gains.
+    """The gates, widened by the residuals of healthy robots in an unknown water before and after a search, and by their gains.
 
-    own: baseline misfit, |z|^2 / m on healthy swims of this robot (search/healthy_swims.py); 0 if not measured.
+    calibration_residual: baseline misfit, |z|^2 / m on healthy swims of this robot (search/healthy_swims.py); 0 if not measured.
     """
     usual = max(given.adequacy, given.beyond_own * calibration_residual)
     adequacy, residual = (max(usual, gate) for gate in (gates.adequacy, gates.residual))
@@ -187,8 +187,8 @@ def allowed(gates: Gates, given: StructuralErrorScales, calibration_residual: fl
 class Tangents(NamedTuple):
     """Tangents of the structural error.
 
-    parts: of each record (K (1 + windows), m_l), effect of sigma of each number throughout, then in each window. names: of the
-    numbers (K,). shared: (J, m) effect of each healthy effect at its size.
+    parts: of each record (K (1 + windows), m_l), response to sigma of each strip parameter throughout, then in each window.
+    names: (K,) of the parameters. shared: (J, m) response to each effect of healthy robots at its size.
     """
 
     parts: list[np.ndarray]
@@ -212,7 +212,7 @@ def tangents(strips, records, layout, sizes: dict[str, dict[str, float]]) -> Tan
     places = [strips.index(effect, name) for effect, values in sizes.items() for name in values]
     effects = np.tile(strips.null, (len(places), 1))
     for row, place, size in zip(effects, places, [v for values in sizes.values() for v in values.values()], strict=True):
-        row[place] += size  # as large as it is: dry friction has no slope at none
+        row[place] += size  # at its full size: dry friction has no slope at zero
 
     parts, shared = [], np.zeros((len(places), layout.size))
     for i, record in enumerate(records):
@@ -233,7 +233,7 @@ def tangents(strips, records, layout, sizes: dict[str, dict[str, float]]) -> Tan
 def strong(moved: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(factors (K, m), variance (m,) of the rest) of the tangents (k, m) of one record, over D^1/2 (m,).
 
-    The singular vectors have the same scatter as the tangents, and most of them are negligible.
+    Singular vectors give the same covariance as the tangents, and most are negligible.
     """
     _, size, shape = np.linalg.svd(moved / d, full_matrices=False)
     directions, large = size[:, None] * shape * d, size >= STRONG

@@ -1,11 +1,11 @@
-"""Most likely widths of a covariance that is a sum of parts, over robots.
+"""Maximum-likelihood variances of the parts of a covariance, from several robots.
 
     S_i = F_i^T F_i + sum_g u_g sum_(k in g) a_ik a_ik^T + diag(d_i + sum_c p_c R_ic)       robot i, residual r_i
         = F_i^T F_i + sum_j u_j f_ij f_ij^T + C_i,    C_i: parts within one record each, block by block
     -2 log L = sum_i r_i^T S_i^-1 r_i + log det S_i
 
-`score_variances` gives the sums for a step of the MM algorithm of Zhou, Hu, Zhou & Lange (2019), which multiplies each variance
-by the square root of observed over expected sums of its part:
+`score_variances` computes the sums for a step of the MM algorithm of Zhou, Hu, Zhou & Lange (2019), which multiplies each
+variance by the square root of observed over expected sums of its part:
 
     u_g <- u_g (sum_ik (a_ik^T S_i^-1 r_i)^2 / sum_ik a_ik^T S_i^-1 a_ik)^1/2
 
@@ -23,8 +23,9 @@ TINY = 1e-300
 class Sample(NamedTuple):
     """One robot.
 
-    null (n, m) F; shared (J, m) f and group (J,) the number of each one's variance; parts (K_l, m_l) a of each record and groups
-    (K_l,); record (m,), -1 without parts; variance (m,) d; spread (m,) R^2; channel (m,) number of each one's p; residual (m,).
+    null (n, m): F. shared (J, m): f; group (J,): index of each one's variance. parts (K_l, m_l): a of each record; groups (K_l,):
+    their indices. record (m,): of each sample, -1 without parts. variance (m,): d. spread (m,): R^2. channel (m,): index of each
+    sample's p. residual (m,).
     """
 
     null: np.ndarray
@@ -53,7 +54,7 @@ def score_variances(sample: Sample, u: np.ndarray, p: np.ndarray) -> VarianceSco
     d = sample.variance + p[sample.channel] * sample.spread
     factors = np.concatenate([sample.null, sample.shared * np.sqrt(u[sample.group])[:, None]])
     solved, residual, white, logdet = factors / d, sample.residual / d, 1.0 / d, float(np.sum(np.log(d)))
-    kept = []  # of each record: its samples, and 1 - diag M^-1, which is u diag(a^T C^-1 a)
+    kept = []  # for each record: its samples, and 1 - diag M^-1 = u diag(a^T C^-1 a)
     for i, (part, group) in enumerate(zip(sample.parts, sample.groups, strict=True)):
         # C^-1 = 1/d - own^T own, own = M^-1/2 u^1/2 a / d, M = 1 + u^1/2 a d^-1 a^T u^1/2
         mine, wide = sample.record == i, part * np.sqrt(u[group])[:, None]

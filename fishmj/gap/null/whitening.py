@@ -1,22 +1,22 @@
 """The empirical null: residuals of this model on fish without any missing effect.
 
-    r_i = measured_i - predicted, i = 1..n     from an independent simulator: same commands, other constants within their
+    r_i = measured_i - predicted, i = 1..n     from an independent simulator: same commands, random constants within their
                                                tolerance, its own water, servos, network and noise
-    S = (1/n) sum r_i r_i^T + D                scatter of those, and the part outside their span, per channel and time
+    S = (1/n) sum r_i r_i^T + D                their covariance, plus the part outside their span, per channel and time
     z = S^-1/2 (measured - predicted)          mean square 1 if nothing is missing
 
-The scatter holds the model-form error and every constant that a fit could change. So no fit is needed before the
-gap can be read, and an effect only counts beyond every combination of those (generalised least squares with the
+S includes the model-form error and every constant that a fit could change. So the gap needs no fit, and an effect
+counts only beyond every combination of those (generalised least squares with the
 nuisance integrated out; Kennedy & O'Hagan 2001 with an empirical prior, Efron 2004). S is applied through its factors F:
 S = F^T F + D.
 
-D is the leave-one-out rest: each r_i is predicted from the other n - 1 and its remainder averaged.
+D is the leave-one-out rest: each r_i is predicted from the other n - 1, and the squared remainders are averaged.
 
-A turned camera shows a fish that swam too far ahead as too far to the side. So null runs pass through a candidate's sensors,
+A rotated camera turns an error ahead into an error sideways. So null runs pass through a candidate's sensors,
 
     r_i' = g(p + r_i) - g(p)      g: measurement effects of a parameter row applied to a pose, p: the predicted pose
 
-The other effects leave the null runs unchanged: their influence is a matter of the constants (likelihood.py).
+Other effects do not change the null runs directly; they change the response to the constants (likelihood.py).
 """
 
 from collections.abc import Sequence
@@ -30,15 +30,15 @@ from fishmj.effects.sites import SensorReadings
 from fishmj.gap.records.records import ResidualLayout
 
 RIDGE = 1e-9  # of the largest eigenvalue
-FLOOR = 0.5  # of the sensors' noise: D never goes below
+FLOOR = 0.5  # least D, as a share of the sensors' noise
 SMOOTH = 0.5  # s
-WIDE = 0.5  # share of the samples of a record from which a factor is across them
+WIDE = 0.5  # share of a record's samples from which a factor counts as one across all samples
 
 
 class RecordWhitening(NamedTuple):
-    """C^-1/2 of C = D + A^T A, each row of A in one record alone: y = x / d, in each part of a record z = y - U (1 - g) U^T y.
+    """C^-1/2 of C = D + A^T A, each row of A within one record: y = x / d, then in each part of a record z = y - U (1 - g) U^T y.
 
-    parts: samples (m_l,), U (m_l, k), g (k,), in turns: those of rows that share no sample, then of the rows across them.
+    parts: (samples (m_l,), U (m_l, k), g (k,)), applied in order: first blocks that share no sample, then rows across them.
     """
 
     d: np.ndarray  # (m,)
@@ -76,7 +76,7 @@ def record_whitening(d: np.ndarray, by_record: Sequence[np.ndarray] = (), record
 def separate_blocks(factors: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """(rows, samples) of each block of factors (k, m) that shares no sample with another, then of the rows across all samples.
 
-    Errors of a segment change no other segment, and the cost of a block grows with the cube of its size.
+    Errors of one segment change no other, and blocks save time: the cost grows with the cube of the size.
     """
     there = factors != 0.0
     wide = there.mean(1) > WIDE
@@ -121,14 +121,14 @@ def whitening(
 ) -> Whitening:
     """Whitening from shared factors (k, m), D's square root (m,), and factors of one record each (`record_whitening`).
 
-    Those of one record are hundreds together and a few tens in each: taken record by record they cost next to nothing.
+    The factors of single records are hundreds in total but a few tens in each record, so record by record they cost little.
     """
     alone = record_whitening(d, by_record, record)
     return Whitening(alone, *directions(alone(factors)))
 
 
 def residual_and_tangents(model, records, layout: ResidualLayout, row) -> tuple[np.ndarray, np.ndarray]:
-    """(m,) residual of a parameter row, and (C, m) its change by the tolerance of each constant of the model."""
+    """((m,) residual of a parameter row, (C, m) its change by the tolerance of each constant of the model)."""
     sigma = np.array([constant.sigma for constant in model.constants])
     rows = np.tile(row, (1 + len(sigma), 1))
     rows[1:, : len(sigma)] += np.diag(sigma)
@@ -139,7 +139,7 @@ def residual_and_tangents(model, records, layout: ResidualLayout, row) -> tuple[
 def leftover(residuals: np.ndarray, layout: ResidualLayout, rounds: int = 3) -> np.ndarray:
     """D^1/2 (m,): standard deviation of a null run unexplained by the others, smooth over time in each block.
 
-    Starts from the sensors' noise and converges in a few rounds, because D sets the weight of the other runs.
+    Iterates from the sensors' noise, because D sets the weights of the other runs; a few rounds suffice.
     """
     noise = layout.noise()
     d = np.where(np.isfinite(noise), noise, 0.1 * residuals.std(0) + 1e-9)
@@ -151,9 +151,9 @@ def leftover(residuals: np.ndarray, layout: ResidualLayout, rounds: int = 3) -> 
 
 
 def unexplained(residuals: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Rest of each null run (n, m) after its expectation given the others: r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
+    """Residual of each null run (n, m) minus its expectation given the others: r - F^T (1 + F D^-1 F^T)^-1 F D^-1 r.
 
-    F are the other runs over sqrt(n - 1); all products come from one Gram matrix.
+    F: the other runs over sqrt(n - 1); all products come from one Gram matrix.
     """
     n = len(residuals)
     factors = residuals / np.sqrt(n - 1) / d

@@ -1,6 +1,6 @@
-"""Candidates whose newest effect draws (RobotForm.scatter), each in the covariance with what it draws.
+"""Candidates whose newest effect is random (RobotForm.scatter), each with its own scatter in the covariance.
 
-Their mean alone is that of a plain latency; what they change beside it from packet to packet is not.
+The mean of such an effect looks like a constant latency; only its scatter from packet to packet differs.
 """
 
 from dataclasses import replace
@@ -13,9 +13,9 @@ from fishmj.gap.thresholds import thresholds
 
 
 def drawn_candidates(e: Likelihood, keep: np.ndarray, base: Candidate, effect) -> list[Candidate]:
-    """`base` plus an effect that draws, at several sizes, on records keep (L,); each in S with what it draws.
+    """`base` plus a random effect at several sizes, on records keep (L,), each with its own scatter in S.
 
-    cost: with log det S beyond that of `e`, so that it can be compared with the cost of others.
+    cost: includes the increase of log det S over that of `e`, so that it can be compared with other candidates' costs.
     """
     (p,) = effect.parameters
     place, plain, out = e.model.index(effect.name, p.name), e.subset(keep).whiten.logdet, []
@@ -29,9 +29,9 @@ def drawn_candidates(e: Likelihood, keep: np.ndarray, base: Candidate, effect) -
 
 
 def in_own_scatter(e: Likelihood, c: Candidate) -> Candidate:
-    """A candidate whose newest effect draws, on all records, at its likeliest size; cost as of `drawn_candidates`.
+    """A candidate whose newest effect is random, at its most likely size on all records; cost as in `drawn_candidates`.
 
-    In steps from its size, while they lower the cost; then to the vertex of the parabola through the last three.
+    Line search: steps from its size while the cost falls, then the vertex of the parabola through the last three sizes.
     """
     plain, place, known = e.subset().whiten.logdet, c.places[-1], {}
     low, high, _ = bounds(e.model)

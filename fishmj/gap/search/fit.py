@@ -1,12 +1,12 @@
-"""Every effect's best value on a set of records: probes of finite size, then damped Gauss-Newton on the whitened residual.
+"""Fits each effect to a set of records: probes of finite size, then damped Gauss-Newton on the whitened residual.
 
     screen        z at a few magnitudes of each parameter; the best secant combination in closed form
-    grid_search   hundreds of values on one record, for a parameter of which only the exact value explains anything: the step
+    grid_search   hundreds of values on one record, for a parameter that must be exact to explain anything, such as the step
                   of quantised commands
     refine        theta' = theta - (J^T J + P + m diag)^-1 (J^T z + P theta),  J by finite differences about theta, P the prior
 
-The cost is |z|^2 with z from null/whitening.py, plus a weak Gaussian prior. Constants of the fish need no fit: the covariance
-of the null runs integrates them out.
+The cost is |z|^2 with z from null/whitening.py, plus a weak Gaussian prior. The constants of the fish are not fitted: the
+covariance of the null runs integrates them out.
 """
 
 from dataclasses import dataclass, replace
@@ -23,8 +23,8 @@ from fishmj.gap.thresholds import thresholds
 class Candidate:
     """One set of effects with its best parameters.
 
-    names: effects, in order of acceptance. places: (K,) entries of the parameter row that they own. row: (P,) whole row.
-    cost: |z|^2 over all records and the prior's share; z: (m,). added: how many of the last names its round added.
+    names: effects, in order of acceptance. places: (K,) their entries in the parameter row. row: (P,) parameter row.
+    cost: |z|^2 over all records and the prior's share; z: (m,). added: number of effects that its round added.
     """
 
     names: tuple[str, ...]
@@ -69,7 +69,7 @@ class EffectFitter:
         return self.at(row).cost + self.whiten.logdet
 
     def evidence(self, c: Candidate) -> float:
-        """-2 log of the records' probability by a set of effects, whatever its values: of laws that fit alike the least leads.
+        """-2 log evidence of the records for a set of effects, its values integrated out: prefers fewer parameters at equal fit.
 
         loss + log det(1 + sd^2 J J^T)      Laplace's approximation (MacKay 1992), J per typical size, sd of the prior
         """
@@ -87,11 +87,11 @@ class EffectFitter:
         return self.at(self.model.null)
 
     def grid_search(self, base: Candidate, effects) -> dict[str, tuple]:
-        """{effect: its best few values} for effects of which only a value within a fraction of a per cent explains anything.
+        """{effect: its best few values} for effects with a parameter that must be exact to a fraction of a per cent.
 
-        Where that parameter only shapes the effect, as the period of a torque ripple: the best few sets of all its parameters.
+        If that parameter only shapes the effect, such as the period of a torque ripple: its best few sets of all parameters.
 
-        A quantised command jumps where c / step does: values lie evenly in 1 / step, and again around the best.
+        A quantised command jumps where c / step does, so the grid is even in 1 / step; a second grid refines the best values.
         """
         limits = thresholds().fit
         found = {}
@@ -100,8 +100,8 @@ class EffectFitter:
             if p.shape:
                 found[effect.name] = self._waves(base, effect, p)
                 continue
-            # Even in 1 / step, not in step: the phase of the jumps is c / step, and a grid even in step would be far too coarse
-            # for small steps and waste most of its values on large ones.
+            # Even in 1 / step: the phase of the jumps is c / step, so a grid even in step would be too coarse for small steps
+            # and too fine for large ones.
             last = 1.0 / min(abs(t - p.null) for t in p.typical)
             inverse, spacing = np.linspace(1.0 / max(p.high - p.null, p.null - p.low), last, limits.grid_values, retstep=True)
             beside = spacing * np.arange(-limits.grid_neighbours, limits.grid_neighbours + 1) / (limits.grid_neighbours + 1)
@@ -180,7 +180,7 @@ class EffectFitter:
     def refine(self, candidates: list[Candidate], iterations: int | None = None, chord: bool = False) -> list[Candidate]:
         """Damped Gauss-Newton on all parameters of each candidate together (Levenberg 1944, Marquardt 1963); best first.
 
-        chord: the slopes at the start serve all iterations.
+        chord: reuse the slopes at the start in all iterations.
         """
         low, high, size = bounds(self.model)
         prior = thresholds().fit.prior_sd
@@ -195,11 +195,11 @@ class EffectFitter:
             for i, (c, jac) in enumerate(zip(best, found, strict=True)):
                 places = list(c.places)
                 away = (c.row - self.model.null)[places] / size[places]
-                # The prior is in the normal matrix, not only in the cost: a parameter that these records do not determine has
-                # no slope, and without the prior the step along it would be arbitrary.
+                # The prior is also in the normal matrix: without it the step of a parameter that these records do not determine
+                # would be arbitrary.
                 normal = jac @ jac.T + np.eye(len(away)) / prior**2
                 slope = jac @ c.z + away / prior**2
-                # Two dampings at once instead of one and a retry: rows of a batch are cheap, further batches are not.
+                # Two dampings at once instead of one and a retry: another row in a batch is cheap, another batch is not.
                 for change in damped_steps(normal, slope, (damping[i], damping[i] * 30), 1e-9):
                     row = c.row.copy()
                     row[places] = np.clip(row[places] + change * size[places], low[places], high[places])
@@ -210,8 +210,8 @@ class EffectFitter:
             for i, c in enumerate(best):
                 mine = [j for j, o in enumerate(owner) if o == i]
                 j = min(mine, key=lambda k: cost[k])
-                # A step is taken only if the true cost falls: the residual is not differentiable where a joint sticks, so the
-                # linear prediction of the fall is no test.
+                # A step is accepted only if the true cost falls: the residual is not differentiable where a joint sticks, so the
+                # predicted fall is unreliable.
                 if cost[j] < c.cost:
                     best[i] = replace(c, row=trials[j], cost=float(cost[j]), z=z[j])
                     damping[i] = max(1e-4, damping[i] * (0.3 if j == mine[0] else 3))
@@ -328,12 +328,12 @@ def bounds(model) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def needs_fine_value(effect) -> bool:
-    """Returns True if the size of an effect acts only at a value within a fraction of a per cent, as a command's steps do."""
+    """Returns True if an effect's size must be exact to a fraction of a per cent, such as the step of quantised commands."""
     return any(p.fine and not p.shape for p in effect.parameters)
 
 
 def limiting(model, c: Candidate) -> list[str]:
-    """Names of the effects with a parameter on a bound that is not its null: limiting forms of another law."""
+    """Names of the effects with a parameter on a bound that is not its null, where they become another law."""
     low, high, size = bounds(model)
     tolerance = thresholds().decide.bound_tolerance
     near = lambda place, edge: edge != model.null[place] and abs(c.row[place] - edge) < tolerance * size[place]

@@ -1,6 +1,6 @@
-"""Numbers that a description in MJCF leaves open, as places in a parameter row of `RigidRobot`.
+"""Open parameters of a description in MJCF, as places in a parameter row of `RigidRobot`.
 
-Their priors: tolerance of masses, inertias and centres (data/calib/robot.toml); of the others the search's own, which is wide.
+Priors: the tolerance of masses, inertias and centres (data/calib/robot.toml); for the others the wide prior of the search.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.search.fit import bounds
 from fishmj.gap.thresholds import thresholds
 
-# kind -> (effects of the catalogue that hold it, constants of the model that do)
+# kind -> (effects of the catalogue, constants of the model) that represent it
 KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "friction": (("coulomb_friction",), ()),
     "damping": (("viscous_friction",), ()),
@@ -26,9 +26,9 @@ FACTORS = ("servo_gain", "servo_damping_gain")
 
 
 class OpenNumber(NamedTuple):
-    """One number. place: in the row, where `start` stands for the description. base: what to add to a row's entry for SI.
+    """One parameter. place: in the row; start: its value there by the description. base: to add to the row's entry for SI.
 
-    step: of derivatives; low, high: of the row's entry; sigma: of the prior. is_factor: on a body, within its tolerance.
+    step: for derivatives; low, high: bounds of the row's entry; sigma: of the prior. is_factor: a factor on a body's property.
     """
 
     place: int

@@ -2,7 +2,7 @@
 
     -2 log L(theta) = |z|^2 + log det S,   z = S^-1/2 (measured - predicted)      z, S of a `subset` of the records: fit.py
 
-S comes from the null runs (null/whitening.py) and depends on the point of linearisation, since a fish that is late, stiff or slow
+S comes from the null runs (null/whitening.py). It depends on the point of linearisation, since a delayed, stiff or slow fish
 responds differently to its constants:
 
     S(theta) = F^T F + D,   F: null runs through the sensors of theta; the structural error (null/structural_error.py); the
@@ -11,13 +11,13 @@ responds differently to its constants:
                             constants, and model error (form c)^2, where c is the change that the effects make
                             (model_error.py)
 
-An effect that draws (RobotForm.scatter) adds to S what its draws change beside their mean: of a latency's jitter the mean is
-a plain latency, and only the scatter tells both apart.
+A random effect (RobotForm.scatter) adds the covariance of its draws to S: the mean of a jittering latency is a constant latency,
+and only the scatter distinguishes them.
 
-gap       |z|^2 / m, before in the S of the present model and after in that of the fish with the effects: input of the gates
-          `adequacy` and `rest`. Healthy robots leave about 1
-floor     W(t), root mean square of null runs and structural error. The residual has to shrink over it, too: S grows with the
-          found effects, the floor does not
+gap       |z|^2 / m, before in the S of the present model, after in that of the fish with the effects; about 1 for healthy
+          robots. Input of the gates `adequacy` and `rest`
+floor     W(t), root mean square of null runs and structural error. The residual must shrink relative to it, too: S grows
+          with the found effects, the floor does not
 closure   gain / (|z_0|^2 - m): share of the excess that an effect explains, m = length of z
 p_best    share of Bayesian bootstrap draws over records (Rubin 1981) in which a candidate has the least cost
 """
@@ -39,7 +39,7 @@ from fishmj.gap.thresholds import Gates, thresholds
 
 
 class KnownLayout(ResidualLayout):
-    """A layout with a known part of each residual: (m,) `known` is subtracted."""
+    """A layout that subtracts a known part, (m,) `known`, from each residual."""
 
     def __init__(self, records: list[Record], known: np.ndarray):
         super().__init__(records)
@@ -51,10 +51,11 @@ class KnownLayout(ResidualLayout):
 
 
 class Likelihood:
-    """Likelihood of records with their null, and fitters on any part of them.
+    """Likelihood of records given their null runs, with fitters on any part of them.
 
-    null: (n, m) residuals of null runs on the layout of all records. form: relative error of each sample of the effects'
-    change. widths: of the structural error; by default as measured on all families. origin: the likelihood at the present model.
+    null: (n, m) residuals of null runs on the layout of all records. form: relative error of the effects'
+    change, sample by sample. widths: scales of the structural error; default, as measured on all families. origin: the
+    likelihood at the present model.
     """
 
     def __init__(
@@ -71,10 +72,9 @@ class Likelihood:
         self.origin = self
         self.form = limits.model_error if form is None else form
         self.runs = len(null)
-        self.drawn = True  # the first factors are the null runs, each by itself; not so where healthy swims are given
+        self.drawn = True  # True if the first factors are the individual null runs; False with healthy swims
         self.layout = ResidualLayout(records)
-        # One set of draws is kept: every later linearisation is compared with the origin draw by draw, so that the draws do not
-        # cause their difference.
+        # All linearisations use the same draws, so that the draws do not cause differences between them and the origin.
         self._draws = np.random.default_rng(0).standard_normal((limits.nonlinearity_draws, len(model.constants)))
         self._null_tangents, self._null_nonlinear = self._constants(getattr(model, "nothing", model.null))
         self._left = leftover(null, self.layout)
@@ -102,14 +102,14 @@ class Likelihood:
         self.response = ModelResponse(self.factors, self.by_record, self.layout.record, known, *np.zeros((2, self.layout.size)))
 
     def with_record_errors(self, model) -> "Likelihood":
-        """The same with a model that differs in its `record_errors` only."""
+        """Copy with a model that differs in its `record_errors` only."""
         there = copy(self)
         there.model, there.origin = model, there
         there._cover(self._null_factors * np.sqrt(self.runs), self.widths)
         return there
 
     def with_own_widths(self) -> "Likelihood":
-        """The same records, healthy swims of one robot, with their own most likely scales (`structural_error.own_widths`)."""
+        """Copy, for healthy swims of one robot, with their own most likely scales (`structural_error.own_widths`)."""
         null, moved, there = self._null_factors * np.sqrt(self.runs), self._structural.moved, copy(self)
         if moved is not None:
             residual = self._residuals(self.model.null[None])[0]
@@ -131,21 +131,21 @@ class Likelihood:
         return self.widths.gains.get(stage, 0.0) * len(self.records) if structural_error.applies(self.model) else 0.0
 
     def formula_error(self, stage: str) -> float:
-        """Relative error of the size from a formula of a stage in an unknown water.
+        """Relative error of an effect's size from the formula of its stage, in an unknown water.
 
-        That of any formula, if the model is not calibrated or it was not measured.
+        It is that of any formula if the model is not calibrated or the stage was not measured.
         """
         any_formula = thresholds().intervals.formula_error
         return max(any_formula, self.widths.formula.get(stage, 0.0)) if self.calibrated else any_formula
 
     @property
     def by_record(self) -> tuple[np.ndarray, ...]:
-        """Factors (K_l, m_l) of each record alone: of its errors, then of what is drawn."""
+        """Factors (K_l, m_l) of each record alone: of its errors, then of random effects."""
         alone = self._structural.by_record
         return tuple(np.concatenate(both) for both in zip(alone, self.scatter, strict=True)) if self.scatter else alone
 
     def with_scatter(self, row: np.ndarray, keep: np.ndarray | None = None) -> "Likelihood":
-        """The same with what the effects of a row draw, and no other effect does. keep: (L,) bool, records that will count."""
+        """Copy with the scatter of the random effects of a row, and of no others. keep: (L,) bool, records that will be used."""
         drawn: tuple[np.ndarray, ...] = self.model.scatter(self.records, self.layout, row, keep) if draws(self.model) else ()
         if not drawn and not self.scatter:
             return self
@@ -156,11 +156,11 @@ class Likelihood:
 
     @property
     def draws(self) -> int:
-        """Number of factors that are null runs, or their rest after healthy swims."""
+        """Number of factors that are null runs, or what remains of them after healthy swims."""
         return len(self._null_factors)
 
     def given(self, swims: "Likelihood") -> "Likelihood":
-        """The same for a robot with known healthy swims: its shared deviations count only as far as those leave them open.
+        """Copy for a robot with known healthy swims, which reduce the uncertainty of the deviations that its records share.
 
             e  ~ N(m, P)      shared by the records of a robot: its constants (null runs), the effects of a healthy one
             P  = (1 + F_h C_h^-1 F_h^T)^-1,   m = P F_h C_h^-1 r_h        of the swims; C: the part of each record alone
@@ -173,7 +173,7 @@ class Likelihood:
         left = np.linalg.inv(np.eye(len(seen)) + seen @ seen.T)
         mean = left @ (seen @ alone(swims._residuals(swims.model.null[None])[0]))
         shared = np.concatenate([self._null_factors, self._structural.shared])
-        count = len(shared)  # launches of the swims are no other record's
+        count = len(shared)  # launch errors of the swims affect no other record
         there = copy(self)
         there.drawn = False
         there.origin = there
@@ -185,7 +185,7 @@ class Likelihood:
         return there
 
     def with_model(self, model) -> "Likelihood":
-        """The same records and null with other effects in question; `model` at its null is the same model."""
+        """Copy with other candidate effects; `model` at its null is the same model."""
         there = copy(self.origin)
         there.model = model
         there.origin = there
@@ -207,15 +207,14 @@ class Likelihood:
         return np.nan_to_num(self.layout.residuals(self.model.predict(self.records, rows)))
 
     def linearised_at(self, row: np.ndarray, form: float | None = None) -> "Likelihood":
-        """The same for a fish with the effects of `row`, right to within `form` of their change at each moment."""
+        """Copy linearised at `row`, whose effects have a relative error `form` of their change in each sample."""
         start = self.origin
         tangents, nonlinear = self._constants(row)
-        # Only the change of the tangents is added: the null fish already differ by their constants, so the tangents
-        # themselves would count that scatter twice.
+        # Only the change of the tangents is added: the null runs include the scatter of the constants already.
         known_factors = [self._null_through_sensors(row), self._structural.shared, self._launches]
         factors = [*known_factors, tangents - start._null_tangents]
-        # The moment at which a joint slips or a gear's play closes depends on all constants, and differs between any two fish.
-        # A factor per draw would let those moments be fitted; on the diagonal they are uncertain.
+        # The moments at which a joint slips or play closes depend on all constants and differ between fish. One factor per
+        # draw would let a fit choose them; on the diagonal they count as noise.
         known = start.d**2 + np.maximum(nonlinear - start._null_nonlinear - start._null_scatter, 0.0)
         change = self._effects_change(row)
         there = copy(self)
@@ -234,7 +233,7 @@ class Likelihood:
         return as_sensed(self.model, self.layout, row, shown, null * root) / root
 
     def with_model_error(self, form: float) -> "Likelihood":
-        """The same effects, with another relative error of their formulas."""
+        """Copy with another relative error of the formulas."""
         there = copy(self)
         there.form = form
         there.d = self.response.d(form)
@@ -247,12 +246,12 @@ class Likelihood:
         return there.with_model_error(there.response.most_likely_form(self._residuals(row[None])[0], finer))
 
     def tolerating(self, row: np.ndarray, gates: Gates) -> tuple["Likelihood", float]:
-        """(likelihood in which the formulas of a row have their largest allowed error, the gain that such an error can imitate).
+        """(copy in which the formulas of a row have their largest allowed error, gain that such an error can imitate).
 
             S += form^2 diag(c^2) + size^2 sum_b c_b c_b^T        imitated = sum (e c)^2 / D
 
-        c (m,) is the change by the row, c_b that on one channel of a record, e the error of any formula. A gain of another effect
-        there beyond the second is not theirs, however much they explain.
+        c (m,) is the change by the row, c_b that on one channel of a record, e the error of any formula. If another
+        effect gains more than `imitated` there, the error of these formulas is not the cause.
         """
         change = self._effects_change(row)
         there = copy(self)
@@ -261,11 +260,11 @@ class Likelihood:
         return there, float(np.sum((thresholds().intervals.formula_error * change / there.d) ** 2))
 
     def _effects_change(self, row: np.ndarray) -> np.ndarray:
-        """(m,) change by the effects of a row; zero for a weighing, which defines mass and is no formula of the water."""
+        """(m,) change by the effects of a row; zero for a weighing, which has no formula error."""
         return self.change(row, self.model.null) * (self.layout.channel != mass_properties.CHANNEL)
 
     def with_parameter_uncertainty(self, row: np.ndarray) -> "Likelihood":
-        """For values: the response to the constants is as uncertain as the formulas: F gets their tangents times `form`."""
+        """Copy for estimating values: F also gets the constants' tangents times `form`, since these depend on the formulas."""
         there = copy(self)
         there.factors = np.concatenate([self.factors, self.form * self._constants(row)[0]])
         return there
@@ -273,12 +272,12 @@ class Likelihood:
     def error(self, row: np.ndarray, allowed: float, keep: np.ndarray | None = None) -> ModelError:
         """Error of the formulas of the row at which this is linearised.
 
-        allowed: their allowed form error. keep: (m,) bool, samples that count; default, all.
+        allowed: their allowed form error. keep: (m,) bool, samples to use; default, all.
         """
         return self.response.error(self._residuals(row[None])[0], self.layout, allowed, keep)
 
     def subset(self, keep: np.ndarray | None = None, more: np.ndarray | None = None) -> EffectFitter:
-        """A fitter on the records with keep (L,) true; default, all. more: (K, n) further factors of S there."""
+        """Fitter on the records with keep (L,) true; default, all. more: (K, n) further factors of S there."""
         keep = np.ones(len(self.records), bool) if keep is None else keep
         records = [r for r, k in zip(self.records, keep, strict=True) if k]
         columns = keep[self.layout.record]
@@ -298,7 +297,7 @@ class Likelihood:
         return self.subset().loss(row)
 
     def jacobian(self, c: Candidate) -> np.ndarray:
-        """(K, m) change of the residual by a typical size of each parameter of a candidate, about its values."""
+        """(K, m) derivatives of the residual by each parameter of a candidate, in units of its typical size."""
         size = bounds(self.model)[2]
         rows, moved = difference_rows(self.model, c)
         residuals = self._residuals(np.concatenate([c.row[None], rows]))
@@ -310,7 +309,7 @@ class Likelihood:
         return after - before
 
     def gap(self, row, keep: np.ndarray | None = None) -> tuple[float, dict]:
-        """The gap of a parameter row, and by channel. keep: (L,) bool, records that count; default, all."""
+        """(gap, {channel: gap}) of a parameter row. keep: (L,) bool, records to use; default, all."""
         part = self.subset(keep)
         return by_channel(part.z(row[None])[0] ** 2, part.layout)
 
@@ -325,7 +324,7 @@ class Likelihood:
 
 
 def draws(model, names=None) -> list:
-    """Effects of a model, of these names, that draw (RobotForm.scatter)."""
+    """Random effects (RobotForm.scatter) of a model, among `names`."""
     known = model.active.effects if hasattr(model, "scatter") else ()
     return [x for x in known if x.robot.scatter and (names is None or x.name in names)]
 
@@ -344,8 +343,8 @@ def likelihood_of(model, records: list[Record], null, bars: Bars = silent_bar, s
 def relinearise(e: Likelihood, best: Candidate, times: int | None = None) -> tuple[Likelihood, Candidate]:
     """(likelihood linearised at the candidate, candidate refitted there): the response to the constants depends on the effects.
 
-    A step that makes the candidate less likely in the likelihood linearised at itself is not taken: values and covariance chase
-    each other, and a covariance that explains everything must not win.
+    A step that makes the candidate less likely in the likelihood linearised at itself is rejected: otherwise the iteration could
+    end at a covariance so wide that it explains everything.
     """
     near = e.with_estimated_model_error(best.row)
     loss = near.loss(best.row)
@@ -392,7 +391,7 @@ def closure(cost_before: float, cost_after: float, size: float) -> float:
 
 
 def losses(fitter: EffectFitter, z: np.ndarray) -> np.ndarray:
-    """|z|^2 + log det S of each record (L,), z (m,): what they share of log det S in equal parts."""
+    """|z|^2 + log det S of each record (L,), z (m,); the shared part of log det S is divided equally."""
     whiten, record = fitter.whiten, fitter.layout.record
     out = np.bincount(record, weights=2.0 * np.log(whiten.alone.d)) - 2.0 * np.sum(np.log(whiten.g)) / len(fitter.records)
     for where, _, g in whiten.alone.parts:
@@ -401,7 +400,7 @@ def losses(fitter: EffectFitter, z: np.ndarray) -> np.ndarray:
 
 
 def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Share of draws that each candidate (C, L) wins."""
+    """(C,) share of bootstrap draws that each candidate wins, from its loss in each record (C, L)."""
     draws = thresholds().likelihood.bootstrap_draws
     weights = np.random.default_rng(seed).dirichlet(np.ones(per_record.shape[1]), draws)
     totals = weights @ per_record.T
@@ -410,12 +409,12 @@ def p_best(per_record: np.ndarray, seed: int = 0) -> np.ndarray:
 
 
 def launch_factors(model, records: list[Record], layout: ResidualLayout) -> np.ndarray:
-    """(K, m) c of every record that states the error of its launch: `push_sigma` of `push`, one standard deviation of each.
+    """(K, m) factors c of every record that states the error of its launch, `push_sigma`: one standard deviation each.
 
         S += sum_k c_k c_k^T        c_k = residual at push + sigma_k e_k less that at push: surge, sway [m/s], yaw rate [rad/s]
 
-    A carriage's own speed needs none. A velocity from the camera is known to a centimetre a second, and its error grows along
-    the path.
+    A launch by a carriage of known speed needs none. A velocity from the camera is known to 1 cm/s, and its error grows along the
+    path.
     """
     row = np.asarray(getattr(model, "nothing", model.null))[None]
     found = [np.zeros((0, layout.size))]

@@ -1,18 +1,17 @@
-"""Error of a candidate's formulas, measured on the records that they should explain.
+"""Measures the error of a candidate's formulas on the records that they should explain.
 
-form    relative error of the change from sample to sample: D grows
-gain    relative error of its size on a whole channel of a record: a factor of S each, c_b the change there
+form    relative error of the effects' change c, independent in each sample
+gain    relative error of its size, common to a channel of a record, c_b the change there
     S = F^T F + gain^2 sum_b c_b c_b^T + D + form^2 c^2
 
-Of a grid of both, the pair that makes the records most likely counts. Values are fitted with the first alone, so that strong and
-weak channels keep their weights. The second shows the kind of error. A right formula in another robot is mostly wrong in
-its size, and in weak channels; a substitute for something else is wrong from sample to sample, or needs another size in strong
-channels.
+The most likely pair of a grid is taken. Values are fitted with the first error alone, so that strong and weak channels keep their
+weights. The second shows the kind of error: a correct formula in another robot is mostly wrong in its size, and in weak channels.
+An imitation is wrong from sample to sample, or needs another size in strong channels.
 
-Outlier records. Small errors add up along a path: if it bends away in one record, a right formula looks wrong there. The gate
-of transfer lets some records get worse; the paths of as many are left out here, if the found effects gain on records predicted
-without their fold. Joints are held by their servos, without accumulation, and are never left out: a substitute for something
-else in a servo is wrong in them.
+Outlier records. Small errors accumulate along a path, so a correct formula may look wrong where one path bends away. The gate
+`transfer` lets some records get worse; the paths of as many are left out here, if the found effects gain on held-out records.
+Joints are held by their servos and do not accumulate errors. They are never left out: an effect that imitates another in a servo
+is wrong there.
 """
 
 from typing import NamedTuple
@@ -28,8 +27,8 @@ PATH = ("position", "heading")  # channels
 class ModelError(NamedTuple):
     """Error of a candidate's formulas.
 
-    form: of each sample, if sizes may be wrong. gain_error_rms: root mean square over channels and records of the errors of size,
-    each weighted by its information. excess_log_likelihood: gain of |z|^2 + log det S by a `form` beyond the allowed one.
+    form: relative error by sample, with sizes free. gain_error_rms: root mean square over channels and records of the errors of
+    size, weighted by information. excess_log_likelihood: gain of |z|^2 + log det S by a `form` above the allowed one.
     """
 
     form: float
@@ -59,8 +58,8 @@ class ModelResponse(NamedTuple):
 
     def d(self, form: float) -> np.ndarray:
         """D^1/2 (m,)."""
-        # The running mean of the change, not the change itself: a formula is no more accurate at its zero crossings than beside
-        # them, and D must not vanish there.
+        # The running mean of the change: a formula is no more accurate at the zero crossings of the change than elsewhere, so D
+        # must not vanish there.
         return np.sqrt(self.known + (form * self.scatter) ** 2)
 
     def products(self, factors: np.ndarray, form: float, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -74,8 +73,8 @@ class ModelResponse(NamedTuple):
 
         channels: (B, m) the effects' change on each channel of each record.
         """
-        # Unlike in a chi-squared, the determinant stays: a large form error lowers |z|^2 of anything, and only log det S
-        # penalises it. One Gram matrix per form error serves all gain errors, which only scale its rows.
+        # log det S must be included: a large form error lowers |z|^2 of any formula, and only log det S penalises it. One Gram
+        # matrix per form error serves all gain errors, which only scale its rows.
         out = np.empty((len(gains), len(forms)))
         factors = self.factors if channels is None else np.concatenate([self.factors, channels])
         for j, form in enumerate(forms):
@@ -90,7 +89,7 @@ class ModelResponse(NamedTuple):
 
     def most_likely_form(self, residual: np.ndarray, finer: tuple[float, ...] = ()) -> float:
         """The form error that makes a residual (m,) most likely, with exact sizes. finer: tried beside the usual grid."""
-        # A grid, not an optimiser: the likelihood is flat in the form error, and a name must not depend on its third digit.
+        # A grid suffices: the likelihood is flat in the form error, and an answer must not depend on its third digit.
         grid = (*finer, *thresholds().model_error.form_grid)
         return grid[int(np.argmin(self.losses(residual, grid)))]
 
@@ -109,8 +108,8 @@ class ModelResponse(NamedTuple):
         gains = thresholds().model_error.gain_grid
         losses = self.losses(residual, forms, gains, channels)
         i, j = np.unravel_index(np.argmin(losses), losses.shape)
-        # The gain of a too large form error is judged, not its size alone: with little information, 10 % and 50 % are
-        # equally likely, which is no evidence.
+        # The gate uses the gain in likelihood of a too large form error, not its size: with little information 10 % and 50 % are
+        # equally likely.
         within = self.losses(residual, (allowed,), gains, channels).min() if forms[j] > allowed else losses[i, j]
         rms = self._gain_error_rms(residual, channels, forms[j], gains[i])
         return ModelError(forms[j], rms, float(max(within - losses[i, j], 0.0)))
@@ -144,8 +143,8 @@ def error_without_outliers(near, row: np.ndarray, gain: float, gates: Gates) -> 
     few = int((1.0 - gates.transfer) * len(near.records) + 1e-9)
     if not few or gain < gates.gain or believable(whole, gain, gates):
         return whole, ()
-    # Each record is left out alone, and the worst of them together: trying all pairs would find a set that makes anything
-    # believable.
+    # Each record is left out alone, then the worst of them together. A search over all sets would find one that makes any
+    # formula plausible.
     alone = [near.error(row, gates.form, without_paths_of(near, [i])) for i in range(len(near.records))]
     allowed = allowed_excess(gain)
     badness = [max(e.excess_log_likelihood / allowed, e.gain_error_rms / gates.size) for e in alone]
@@ -165,14 +164,14 @@ def believable(error: ModelError, gain: float, gates: Gates) -> bool:
 
 
 def misformed(checks: dict) -> bool:
-    """Returns True if the formula is too wrong by the gates of a verdict;
+    """Returns True if the form error is above the gate of a verdict.
 
-    False if that was not asked, or the effect is pinned.
+    False if it was not tested, or the effect needs an exact value.
     """
     return checks.get("strain", 0.0) > allowed_excess(checks.get("gain", 0.0)) and not checks.get("pinned", False)
 
 
 def allowed_excess(gain: float) -> float:
-    """Gain that a form error beyond the allowed may have by chance, for a total gain of `gain`."""
+    """Gain that a form error above the allowed one may have by chance, for a total gain of `gain`."""
     limits = thresholds().model_error
     return max(limits.excess, limits.excess_fraction * gain)

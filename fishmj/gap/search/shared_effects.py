@@ -1,13 +1,13 @@
-"""One kind of effect at many joints of a robot in MJCF at once, as one candidate of a round.
+"""Candidates with one kind of effect at many joints of a robot in MJCF.
 
-A robot of twelve joints has three or four kinds of drive, so what is missing at one joint is missing at most of them. Rounds of a
-single effect would need two or three for each joint, and each would be searched beside large gaps of the other joints.
+A robot of twelve joints has three or four kinds of drive, so an effect at one joint is usually at most of them. Rounds with
+single effects would need two or three for each joint, each disturbed by the large gaps of the other joints.
 
-    kinds    effects of the catalogue; from `shared_sites` joints on at which one gains what any effect must, it is a candidate
-    values   each joint has its own, fitted together with those of all others
-    gain     what so many effects must gain; `prune` then takes out each that the others do not need
+    kinds    an effect of the catalogue is a candidate if it gains enough at `shared_sites` joints or more
+    values   one for each joint, fitted together
+    gain     the gain required of so many effects; `prune` then removes those that the others do not need
 
-Effects of different joints do not stand in for each other on such a robot (`apart`).
+Effects at different joints of such a robot do not imitate each other (`apart`).
 """
 
 from collections import Counter
@@ -21,14 +21,14 @@ from fishmj.gap.thresholds import Gates, thresholds
 
 
 def kinds(names: tuple[str, ...]) -> list[str]:
-    """The names, those of one kind at many sites as one: `coulomb_friction@12 joints`."""
+    """The names, with one kind at many sites as one name: `coulomb_friction@12 joints`."""
     count = Counter(map(kind_of, names))
     many = {kind: f"{kind}{AT}{n} joints" for kind, n in count.items() if n >= thresholds().stepwise.shared_sites}
     return list(dict.fromkeys(many.get(kind_of(name), name) for name in names))
 
 
 def at_many_joints(names: list[str]) -> bool:
-    """Returns True if effects are at so many joints that those of one say little of another."""
+    """Returns True if effects are at so many joints that those at one say little about another."""
     return len({site_of(name) for name in names} - {""}) >= thresholds().stepwise.shared_sites
 
 
@@ -43,7 +43,7 @@ def apart(model, one: str, other: str) -> bool:
 
 
 def of_each_kind(screened: list[Candidate], base: Candidate, gates: Gates) -> list[list[Candidate]]:
-    """Candidates of one more effect by kind, of those that gain enough at enough sites; the most gain first."""
+    """Candidates of one more effect, grouped by kind: kinds that gain enough at enough sites, the largest gain first."""
     gaining: dict[str, list[Candidate]] = {}
     for c in screened:
         if site_of(c.names[-1]) and base.cost - c.cost > gates.gain:
@@ -53,7 +53,7 @@ def of_each_kind(screened: list[Candidate], base: Candidate, gates: Gates) -> li
 
 
 def joined(search: EffectFitter, base: Candidate, found: list[Candidate]) -> Candidate:
-    """`base` with the newest effect of each of some candidates, at its values there."""
+    """`base` with the newest effect of each candidate of `found`, at its values."""
     row, count = base.row.copy(), len(base.places)
     for c in found:
         row[list(c.places[count:])] = c.row[list(c.places[count:])]
@@ -65,9 +65,9 @@ def joined(search: EffectFitter, base: Candidate, found: list[Candidate]) -> Can
 def shared_candidates(
     whole: EffectFitter, base: Candidate, few: Candidate, screened: list[Candidate], gates: Gates
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """(the best kinds, each at all its sites, fitted together; the best effects of each of those sites alone), on all records.
+    """(best kinds, each fitted at all its sites; best single effects at each of those sites), on all records.
 
-    few: `base` on the records of screened, which has one more effect in each, best first.
+    few: `base` on the records of `screened`, the candidates with one more effect, best first.
     """
     many = of_each_kind(screened, few, gates)[: gates.finalists] if shares(whole.model) else []
     if not many:
@@ -79,9 +79,9 @@ def shared_candidates(
 
 
 def least_needed(search: EffectFitter, c: Candidate, gain: float) -> list[str]:
-    """Names of the few effects of a large set whose removal costs least by the slopes, below some `gain`; all of a small set.
+    """Names of the few effects of a large set whose removal costs least to first order, less than `gain`; all of a small set.
 
-    Without the parameters B, and the others A fitted anew: |z|^2 grows by theta_B^T (N^-1_BB)^-1 theta_B, N = J J^T.
+    Removing the parameters B and refitting the others raises |z|^2 by theta_B^T (N^-1_BB)^-1 theta_B, N = J J^T.
     """
     limits = thresholds().stepwise
     if not shares(search.model) or len(c.names) <= limits.shared_sites:

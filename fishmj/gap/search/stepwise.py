@@ -1,23 +1,22 @@
 """Forward stepwise selection of effects, with swaps and backward pruning, on cross-validated likelihood.
 
 screen      the whole catalogue on the few records with the largest excess
-share       one kind of effect at many joints of a robot, as one candidate (shared_effects.py)
-refine      the best of them on all records, and with an earlier choice swapped for another
-compare     the finalists by the likelihood linearised at each of them; of a robot in MJCF, whose laws are often nested, by the
-            evidence, in which each number costs what it can be fitted to (`EffectFitter.evidence`)
-accept      by the first one's gain on records predicted without their fold; a first effect also by its gain on
-            all records at once and on each fold given the others, which determine the shared constants: the smaller of
-            both
-converge    values and covariance, in turns
+share       one kind of effect at many joints of a robot is one candidate (shared_effects.py)
+refine      the best on all records, also with an earlier choice swapped for another
+compare     the finalists by the likelihood linearised at each; for a robot in MJCF, whose laws are often nested, by the
+            evidence, which penalises each parameter (`EffectFitter.evidence`)
+accept      by the gain of the first on records predicted without their fold; a first effect also by the smaller of its gains
+            on all records at once and on each fold given the others, which determine the shared constants
+converge    values and covariance in turns
 prune       effects that the others no longer need
-again       on a robot of many joints, from the best kind at them, where an effect of the whole robot came first
+restart     on a robot of many joints, from the best kind, if the first round took an effect of the whole robot
 
 Every record is predicted from the others: k-fold cross-validation, a fit without each fold.
 
-S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      their uncertainty of the parameters counts
+S_f   = S + J^T C J + b b^T,  C = (J^T S^-1 J + prior)^-1 of the others      includes their parameter uncertainty
 b     = (r(theta) - r(theta_f) - J (theta - theta_f)) / max(1, cost(theta) - cost(theta_f) of the others)^1/2    nonlinear part
 loss  = sum_f |z_f|^2 + log det S_f                                  twice the negative log likelihood of all records, held out
-conditional_loss = sum_f loss(all) - loss(others), both at theta_f   each fold given the others' estimate of the constants
+conditional_loss = sum_f loss(all) - loss(others), both at theta_f   each fold, constants as estimated from the others
 """
 
 from collections.abc import Callable
@@ -56,23 +55,23 @@ class CrossValidatedFit(NamedTuple):
         return [(fitter, fitter.at(c.row, c.names, c.places)) for fitter, c in fitters]
 
     def uncertainty_factors(self, folds: np.ndarray) -> list[np.ndarray]:
-        """For each fold (F, L) factors of S (K + 1, m): the others' uncertainty of the parameters."""
+        """For each fold (F, L), factors of S (K + 1, m): uncertainty of the parameters from the other folds."""
         jacobian = self.near.jacobian(self.best) if self.best.places else np.zeros((0, self.near.layout.size))
         given = zip(folds, self.fits, strict=True)
         return [parameter_uncertainty_factors(self.near, fold, fit, self.best, jacobian) for fold, fit in given]
 
     def loss(self, folds: np.ndarray) -> float:
-        """Loss over all records, each held out."""
+        """Loss over all records, each predicted without its fold."""
         return self.loss_and_gap(folds)[0]
 
     def loss_and_gap(self, folds: np.ndarray) -> tuple[float, float]:
-        """Loss over all records, each held out, and their |z|^2 / m."""
+        """(loss, |z|^2 / m) over all records, each predicted without its fold."""
         parts = self.held_out(folds)
         gap = sum(c.cost for _, c in parts) / self.near.layout.size
         return sum(c.cost + fitter.whiten.logdet for fitter, c in parts), gap
 
     def conditional_loss(self, folds: np.ndarray) -> float:
-        """Loss of each fold given the other records' estimate of the fish's constants, which all of them share."""
+        """Loss of the folds, each given the other records' estimate of the shared constants of the fish."""
         near = self.near
         out = 0.0
         for fold, fit, more in zip(folds, self.fits, self.uncertainty_factors(folds), strict=True):
@@ -96,7 +95,7 @@ def converge(e: Likelihood, folds: np.ndarray, best: Candidate, fits: tuple[Cand
 
 
 def cross_validated(near: Likelihood, best: Candidate, folds: np.ndarray, begins=None) -> CrossValidatedFit:
-    """A candidate with its fits without each fold. begins: from which those start, by default the candidate."""
+    """A candidate with its fits without each fold. begins: their start points; default, the candidate."""
     begins = [best] * len(folds) if begins is None else begins
     return CrossValidatedFit(near, best, tuple(refine(near.subset(~f), c) for f, c in zip(folds, begins, strict=True)))
 
@@ -106,8 +105,8 @@ def parameter_uncertainty_factors(
 ) -> np.ndarray:
     """Factors (K + 1, m) about the fit without one fold (L,). jacobian: (K, m) of the parameters, per typical size.
 
-    The last is the curvature: the nonlinear part of the way to the fit of all records, over the number of standard deviations
-    between both fits. A limit that only one record reaches has no slope in the others, which leave it at its null.
+    The last factor is the curvature: the nonlinear part of the difference to the fit of all records, over the number of standard
+    deviations between both fits. It matters for a limit that only one record reaches: the others have no slope for it.
     """
     others = e.subset(~fold)
     white = others.whiten(jacobian[:, ~fold[e.layout.record]])
@@ -120,9 +119,9 @@ def parameter_uncertainty_factors(
 
 
 def split(records: list[Record], seed: int = 0) -> np.ndarray:
-    """(F, L) bool: three parts of the records, two of two, the smallest first.
+    """(F, L) bool: three folds of the records, or two of two records, the smallest first.
 
-    Replicates of one excitation go into different parts, if possible.
+    Replicates of one excitation go into different folds, if possible.
     """
     rng = np.random.default_rng(seed)
     part = np.full(len(records), -1)
@@ -140,9 +139,9 @@ class SelectionStep:
     """One round.
 
     ranked: candidates on all records, the tried one first, then by cost. fitted: the tried one with its fits; None if no
-    candidate was worth comparing. gain: its reduction of the loss of all records, each predicted without its fold; or,
-    if only that was enough, on all at once or given the others. If accepted, of records predicted without
-    their fold, before (of the present model, if that is smaller) and after: gap; over_floor, the same over the floor.
+    candidate was worth comparing. gain: its reduction of the cross-validated loss or, if only that was enough, of the loss on all
+    records at once or given the others. gap, over_floor: if accepted, (before, after) of records predicted without their fold;
+    before is that of the present model, if smaller.
     """
 
     ranked: tuple[Candidate, ...]
@@ -151,7 +150,7 @@ class SelectionStep:
     accepted: bool
     gap: tuple[float, float] | None = None
     over_floor: tuple[float, float] | None = None
-    asked: float = 0.0  # that it had to gain, in the way by which it was accepted or refused
+    asked: float = 0.0  # required gain, of the kind by which it was accepted or rejected
 
     def text(self) -> str:
         """The round in words."""
@@ -160,13 +159,13 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class Selection:
-    """Result of the rounds. base: the present model, on all records. fitted: the found effects. folds: (F, L) bool."""
+    """Result of the rounds. base: present model on all records. fitted: found effects. folds: (F, L) bool."""
 
     base: Candidate
     fitted: CrossValidatedFit
     folds: np.ndarray
     steps: tuple[SelectionStep, ...]
-    start_logdet: float  # log det S of the model as it is, on all records
+    start_logdet: float  # log det S of the present model, on all records
 
     @property
     def near(self) -> Likelihood:
@@ -179,7 +178,7 @@ class Selection:
         return self.fitted.best
 
     def gain_share(self, name: str, otherwise: float) -> float:
-        """Share of the rounds' total gain from the round that added an effect; `otherwise` if it came by a swap."""
+        """Share of the total gain that came in the round that added an effect; `otherwise` if a swap added it."""
         gains = [(s.ranked[0].newest, s.gain) for s in self.steps if s.accepted]
         mine = [gain for newest, gain in gains if name in newest]
         return sum(mine) / sum(gain for _, gain in gains) if mine else otherwise
@@ -188,10 +187,10 @@ class Selection:
 def forward_select(
     e: Likelihood, gates: Gates, folds: np.ndarray, say: Callable[[str], None], bars: Bars = silent_bar
 ) -> Selection:
-    """Adds effects while records predicted without their fold get likelier. say: each step in words.
+    """Adds effects while they raise the cross-validated likelihood. say: prints each step.
 
-    What all joints of a robot lack makes each of them late, and so does one delay of all. Where the first round takes an effect
-    of the whole robot, a second search begins with the best kind at many joints, and the likelier result counts.
+    An effect missing at all joints makes each of them late, as a common delay does. So if the first round takes an effect of the
+    whole robot, a second search starts from the best kind at many joints; the more likely result counts.
     """
     logged = set(e.layout.channel.tolist())
     pool = [x for x in e.model.active.effects if is_absent(e.model, x) and shows(x, logged)]
@@ -202,7 +201,7 @@ def forward_select(
     with rounds("search") as bar:
         selected, steps = add_effects(e, nothing, [], gates, folds, pool, say, bar)
     if steps and (kind := best_kind(nothing, steps[0], gates, folds)) and kind.fitted:
-        say(f"a second search begins with {kind.text()}")
+        say(f"a second search starts from {kind.text()}")
         with rounds("second search") as bar:
             other, others = add_effects(e, take(e, kind.fitted, gates, folds), [kind], gates, folds, pool, say, bar)
         more = max(len(other.best.names) - len(selected.best.names), 1)
@@ -222,7 +221,7 @@ def add_effects(
     say: Callable[[str], None],
     bar: Bar,
 ) -> tuple[CrossValidatedFit, list[SelectionStep]]:
-    """Rounds from `selected`, found in `steps`: (what is found, all steps)."""
+    """Runs rounds from `selected`, found in `steps`; returns (found effects, all steps)."""
     visited = set[frozenset]()
     # One kind at many joints counts once. A repeated set ends the search: swaps and pruning could otherwise cycle.
     counted = lambda: len(selected.best.names) - sum(s.ranked[0].added - 1 for s in steps if s.accepted)
@@ -238,17 +237,17 @@ def add_effects(
             break
         selected = take(e, step.fitted, gates, folds)
         if counted() > 2 and selected.near.form >= thresholds().model_error.form_grid[-1]:
-            break  # what three effects do not describe to within a half is not in the catalogue
+            break  # with a form error of a half after three effects, the cause is not in the catalogue
     return selected, steps
 
 
 def take(e: Likelihood, fitted: CrossValidatedFit, gates: Gates, folds: np.ndarray) -> CrossValidatedFit:
-    """The effects of an accepted step, fitted to the end, without those that the others do not need."""
+    """The effects of an accepted step, fully fitted and pruned."""
     return prune(e, folds, converge(e, folds, fitted.best, fitted.fits), gates)
 
 
 def best_kind(known: CrossValidatedFit, first: SelectionStep, gates: Gates, folds: np.ndarray) -> SelectionStep | None:
-    """Round that takes the best kind at many joints, where the first one took an effect of the whole robot; else None."""
+    """Round with the best kind at many joints if `first` took an effect of the whole robot; else None."""
     kind = next((c for c in first.ranked if c.added > 1), None)
     if kind is None or not first.accepted or any(map(site_of, first.ranked[0].newest)):
         return None
@@ -271,9 +270,9 @@ def propose(
     gain_so_far: float,
     report: Callable[[float], None] = lambda share: None,
 ) -> SelectionStep:
-    """The best set one effect larger than `known`, or with an earlier choice swapped, and the decision on it.
+    """Best set with one more effect than `known`, or with an earlier choice swapped, and the decision on it.
 
-    report: called with the finished share of the round.
+    report: is called with the finished share of the round.
     """
     limits = thresholds().stepwise
     whole = known.near.subset()
@@ -282,7 +281,7 @@ def propose(
     short, alone = shortlist(known.near, base, effects, gates)
     report(0.4)
 
-    # An effect without enough gain on the fitted records has even less on others: the costly part is skipped.
+    # An effect without enough gain on the fitted records has even less on held-out ones: skip the costly part.
     best_in_sample = base.cost - short[0].cost
     beyond = GainOverModelError(known, gates) if known.near.calibrated and known.best.names else None
     if max((base.cost - c.cost) / c.added for c in short) < limits.screen_fraction * required and not (
@@ -300,7 +299,7 @@ def propose(
     loss = [judged(near.subset(), best) for near, best in finalists]
     order = np.argsort(loss)
 
-    # Further finalists are cross-validated, too: a mimic may be likelier on all records but fail on those held out.
+    # Further finalists are cross-validated too: an imitation may be likelier on all records but fail on held-out ones.
     before, gap_before = known.loss_and_gap(folds)
     tried: list[tuple[int, CrossValidatedFit, float, float]] = []
     for i in order[: limits.attempts]:
@@ -319,8 +318,8 @@ def propose(
     asked = required_gain(gates, known, gain_so_far, lead > limits.uncontested_lead * gain, fitted.best.added)
     accepted = gain > asked
     if not accepted and not known.best.names:
-        # A fold alone does not determine this fish's constants, so a small gap that all records share may be lost in each of
-        # them. The gain is measured twice, with all records and with each fold given the others; the smaller one counts.
+        # One fold does not determine the constants of this fish, so a small gap common to all records may vanish in each fold.
+        # The gain is measured on all records and on each fold given the others; the smaller one counts.
         near, best = finalists[first]
         every = whole.loss(known.best.row) - near.loss(best.row)
         joint = min(every, known.conditional_loss(folds) - fitted.conditional_loss(folds))
@@ -338,7 +337,7 @@ def propose(
 
 
 def required_gain(gates: Gates, known: CrossValidatedFit, gain_so_far: float, uncontested: bool, added: int = 1) -> float:
-    """Required gain of a round. uncontested: no other candidate comes near its best. added: effects that it adds."""
+    """Required gain of a round. uncontested: True if no other candidate is near the best. added: number of added effects."""
     if not known.best.names:
         return added * gates.gain
     # A wrong formula leaves a residual in proportion to its gain, which looks like a further effect: hence a share of the
@@ -349,11 +348,11 @@ def required_gain(gates: Gates, known: CrossValidatedFit, gain_so_far: float, un
 
 
 class GainOverModelError:
-    """Gain of a further effect beyond the possible gain of all errors in the known formulas.
+    """Gain of a further effect beyond that which errors of the known formulas can imitate.
 
     A wrong formula leaves a residual in proportion to its gain, hence the share of the gain so far in `required_gain`.
-    But that would require of an effect on the joints a share of a current's gain on the path. A calibrated model's likelihood
-    knows the place of each formula's action, and is used instead.
+    But that would require of an effect on the joints a share of a current's gain on the path. The likelihood of a calibrated
+    model knows where each formula acts, and is used instead.
     """
 
     def __init__(self, known: CrossValidatedFit, gates: Gates):
@@ -369,7 +368,7 @@ class GainOverModelError:
         return self.known.best.cost - best > self.required
 
     def gain(self, fitted: CrossValidatedFit, folds: np.ndarray) -> float:
-        """Reduction of the loss of all records by a larger set, each predicted without its fold."""
+        """Reduction of the cross-validated loss by a larger set."""
         near = self.known.near
         best = refine(near.subset(), on_records(near.subset(), fitted.best))
         without = cross_validated(near, self.known.best, folds, self.known.fits)
@@ -377,7 +376,7 @@ class GainOverModelError:
 
 
 def lead_of(first: int, finalists, loss: list[float]) -> float:
-    """Lead in likelihood of a finalist over the next that is no twin of it: twins are the same effect by construction."""
+    """Lead in likelihood of a finalist over the next one that is not the same effect by construction."""
     newest = [best.names[-1] for _, best in finalists]
     others = (loss[j] for j in range(len(loss)) if j != first and not together(newest[first], newest[j]))
     return min(others, default=np.inf) - loss[first]
@@ -385,19 +384,19 @@ def lead_of(first: int, finalists, loss: list[float]) -> float:
 
 # ------------------------------------------------------------------------------------------------------------------ candidates
 def shortlist(e: Likelihood, base: Candidate, effects, gates: Gates) -> tuple[list[Candidate], list[Candidate]]:
-    """The best candidates on all records, fitted, best first; and the best of each joint alone, where a kind at many is one."""
+    """(best candidates, fitted on all records; best single effects at each joint if a kind at many is a candidate)."""
     whole = e.subset()
     most = informative_records(base, e.layout, getattr(e.model, "screened_records", None))
     few = e.subset(most)
     one = e.subset(informative_records(base, e.layout, 1))
-    # The grid costs a robot in MJCF hundreds of rollouts. At a mean square near 1 it finds nothing. A fish has few such effects.
+    # For a robot in MJCF the grid costs hundreds of rollouts, and finds nothing at a mean square near 1.
     loud = base.cost > thresholds().stepwise.drawn_from * e.layout.size
     quick = [x for x in effects if all(p.shape for p in x.parameters if p.fine)]
     fine = one.grid_search(on_records(one, base), effects if loud or not hasattr(e.model, "scatter") else quick)
     screened = few.screen(on_records(few, base), effects, fine)
     shared, alone = shared_candidates(whole, base, on_records(few, base), screened, gates)
     likely = sorted((on_records(whole, c) for c in screened[: 2 * gates.shortlist]), key=lambda c: c.cost)[: gates.shortlist]
-    led = bool(shared) and shared[0].cost < likely[0].cost  # by a kind at many joints: no single effect needs its best value
+    led = bool(shared) and shared[0].cost < likely[0].cost  # a kind at many joints leads, so single effects need no refined value
     short = likely[: gates.shortlist // 2] if led else whole.refine(whole.refine(likely, 2)[: gates.shortlist // 2], 3)
     if loud:
         drawn = [x for x in draws(e.model) if x in effects]
@@ -429,20 +428,20 @@ def swaps(whole: EffectFitter, few: EffectFitter, short: list[Candidate], effect
 
 
 def is_absent(model, effect) -> bool:
-    """Returns True if the questioned model does not have the effect yet."""
+    """Returns True if the searched model does not have the effect yet."""
     places = [model.index(effect.name, p.name) for p in effect.parameters]
     return tuple(model.null[places]) == effect.null
 
 
 def shows(effect, logged: set[str]) -> bool:
-    """Returns True if an effect shows in one of the logged channels; a fit in others would only imitate another effect."""
+    """Returns True if an effect acts on one of the logged channels; fitted without them it would only imitate another effect."""
     weighed = effect.stage == "inertia" and mass_properties.CHANNEL in logged
     return weighed or not effect.shows or bool(logged & set(effect.shows))
 
 
 # --------------------------------------------------------------------------------------------------------------------- pruning
 def prune(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, gates: Gates) -> CrossValidatedFit:
-    """The set without effects that the others no longer need: one may have stood in for a later one."""
+    """The set without effects that the others no longer need, such as one that imitated a later one."""
     while len(fitted.best.names) > 1:
         least = least_needed(fitted.near.subset(), fitted.best, gates.gain)
         if not least:
@@ -466,9 +465,9 @@ def without_effect(e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, 
 def exchange_limiting_forms(
     e: Likelihood, folds: np.ndarray, fitted: CrossValidatedFit, pool, gates: Gates, say: Callable[[str], None]
 ) -> CrossValidatedFit:
-    """The set with each effect on a bound, a limiting form of another law, replaced by another effect if little is lost.
+    """The set with each effect on a bound replaced by another effect, if the loss rises by less than the required gain.
 
-    Little is less than a further effect must gain. pool: effects that may be added.
+    On a bound an effect is a limiting form of another law. pool: effects that may be added.
     """
     tried: list[str] = []
     while left := [name for name in limiting(e.model, fitted.best) if name not in tried]:
@@ -489,6 +488,6 @@ def exchange_limiting_forms(
 
 
 def loss_increase(fitted: CrossValidatedFit, less: CrossValidatedFit, folds: np.ndarray) -> float:
-    """Increase of the loss with the shorter set: the larger of all records at once, and each without its fold."""
+    """Increase of the loss with the shorter set: the larger of that on all records at once and the cross-validated one."""
     without, with_it = (f.near.loss(f.best.row) for f in (less, fitted))
     return max(less.loss(folds) - fitted.loss(folds), without - with_it)

@@ -1,15 +1,14 @@
 """Torque at each joint of a robot in MJCF that no effect of the catalogue explains, from its own logs.
 
-    all effects fitted at once -> most likely deviations of the torques (null/variances.py) -> fitted again .. while likelier
-    from none, and from the best single effect of each of the best few sites; the likeliest of all
-    where that leaves torques: also from the best effect that draws, in S with what it draws, and the best at an exact value
+    fit of all effects at once -> most likely deviations of the torques (null/variances.py) -> fit again .. while likelier
+    starts: no effect, and the best single effect at each of the best few sites; the most likely fit counts
+    if torques remain: also from the best random effect, its scatter in S, and from the best that needs an exact value
 
-The search then asks which few effects do as well as all of them together, as Mallows' C_p takes the noise of a regression from
-its largest model. Without it, a real arm's torque ripple and its motor's response would be so many times the encoder's noise
-that any effect would gain.
+The remaining torque is the noise of the search, as Mallows' C_p takes the noise of a regression from its largest model. Without
+it, torque ripple and motor dynamics of a real arm would be so many times the encoder's noise that any effect would gain.
 
-What is left of these torques by the found effects, over what there was before, is a gate, joint by joint: an effect that only
-seems to explain lowers no torque.
+Each joint has a gate on the ratio of the unexplained torque after and before the found effects: an effect that only seems to
+explain the logs lowers no torque.
 """
 
 from collections.abc import Sequence
@@ -33,19 +32,19 @@ from fishmj.gap.wording import percent, quantity, title
 
 
 class UnexplainedTorque(NamedTuple):
-    """(J,) N m: deviations with the model as it is, and with all effects fitted."""
+    """(J,) N m: deviations with the present model, and with all effects fitted."""
 
     before: np.ndarray
     least: np.ndarray
 
 
 class TorqueFit(NamedTuple):
-    """All effects fitted. loss: twice the negative log likelihood in `near`, whose torques and tangents are those of the row."""
+    """Fit of all effects. loss: twice the negative log likelihood in `near`, with torques and tangents at the row."""
 
     loss: float
     near: Likelihood
     row: np.ndarray
-    drawn: bool = False  # what the effects draw counts
+    drawn: bool = False  # True if S includes the scatter of random effects
 
 
 def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar):
@@ -56,7 +55,7 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
     before = torques(e, model.null)
     few = informative_records(e.subset().base(), e.layout, model.screened_records)
     most = (1 + limits.starts) * limits.first_fits + (2 * limits.kept + 1) * limits.fits
-    with bars(most, "torques that no effect explains", "rounds of fits", at_most=True) as bar:
+    with bars(most, "unexplained torques", "rounds of fits", at_most=True) as bar:
         done = 0
 
         def all_fitted(starts: Sequence[TorqueFit], fits: int, chord: bool = True) -> list[TorqueFit]:
@@ -68,7 +67,7 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
                 bar.update(done)
             return sorted(found, key=lambda fit: fit.loss)
 
-        # The fit of all effects has several minima, and the noise of the search is what the best of them leaves.
+        # The fit of all effects has several minima; the best one sets the noise of the search.
         rows = [model.null, *_best_single(e.subset(few), model.null, model.active.effects)]
         found = all_fitted([TorqueFit(np.inf, e, row) for row in rows], limits.first_fits)[: limits.kept]
         (best,) = all_fitted(all_fitted(found, limits.fits)[:1], limits.fits, chord=False)
@@ -80,9 +79,9 @@ def with_measured_errors(model, records: Sequence, null, bars: Bars = silent_bar
 
 
 def _unusual(e: Likelihood, few: np.ndarray, best: TorqueFit) -> list[TorqueFit]:
-    """Starts with the best effect that draws, and with the best at an exact value: no slope leads there from none.
+    """Starts with the best random effect and with the best that needs an exact value, which no descent finds.
 
-    Each alone and beside all others. Torques are as stated: with those of a fit that lacks it, what an effect draws is not seen.
+    Each alone and together with all others. Torques are as stated: those of a fit without the effect would hide its scatter.
     """
     model, chosen = e.model, best.row.copy()
     for x in draws(model):
@@ -100,9 +99,9 @@ def _unusual(e: Likelihood, few: np.ndarray, best: TorqueFit) -> list[TorqueFit]
 
 
 def _best_single(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) -> list[np.ndarray]:
-    """Rows with the best effect of each of the best few sites, at a finite size.
+    """Rows with the best effect at each of the best few sites, at a finite size.
 
-    Play, a limit or a period has no slope where it is not there; effects at one site lead to the same minimum.
+    Play, a limit or a period has no slope at its null. Effects at one site lead to the same minimum, so one is enough.
     """
     base = fit.at(row)
     waves = [x for x in effects if any(p.fine and p.shape for p in x.parameters)]
@@ -114,10 +113,10 @@ def _best_single(fit: EffectFitter, row: np.ndarray, effects: Sequence[Effect]) 
 
 
 def descend(fit: TorqueFit, fits: int, steps: int, chord: bool = True) -> TorqueFit:
-    """The fit of all effects after at most so many rounds: values, then the torques and the tangents at them.
+    """Fits all effects in at most `fits` rounds: values, then torques and tangents at these values.
 
-    A round whose end is less likely by its own torques is shortened, and at last not taken: values and torques chase each other.
-    steps, chord: of Gauss-Newton in each round.
+    A round that ends less likely by its own torques is shortened, and finally rejected, since values and torques can oscillate.
+    steps, chord: for Gauss-Newton in each round.
     """
     limits = thresholds().torques
     model = fit.near.model
@@ -138,7 +137,7 @@ def descend(fit: TorqueFit, fits: int, steps: int, chord: bool = True) -> Torque
 
 
 def _measured_at(near: Likelihood, row: np.ndarray, drawn: bool = False) -> TorqueFit:
-    """The likelihood with the torques and the tangents of a row. drawn: and with what its effects draw."""
+    """The likelihood with torques and tangents at a row. drawn: also with the scatter of its effects."""
     model = near.model
     near = near.with_scatter(row if drawn else model.null)
     there = near.with_record_errors(model.with_errors(np.maximum(torques(near, row), model.torque_tolerance), row))
@@ -154,7 +153,7 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     for i, record in enumerate(e.records):
         mine, own = np.flatnonzero(e.layout.record == i), model.error_groups(record)
         errors = e.by_record[i][: len(own)]
-        for rows, samples in separate_blocks(errors):  # those of a segment are a block
+        for rows, samples in separate_blocks(errors):  # the errors of one segment are a block
             block[mine[samples]] = len(parts)
             parts.append(errors[np.ix_(rows, samples)])
             groups.append(own[rows])
@@ -177,22 +176,22 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     for _ in range(thresholds().torques.updates):
         told = score_variances(sample, u, np.zeros(1))
         ratio = np.sqrt(np.maximum(told.seen[:joints], tiny) / np.maximum(told.expected[:joints], tiny))
-        # A joint may stick where the model slides. No torque is large enough then: both sums are rounding, and u overflows.
+        # A joint may stick where the model slides. No finite torque explains that: both sums are rounding errors and u overflows.
         u[:joints] = np.clip(u[:joints] * np.where(told.expected[:joints] > 0, ratio, 1.0), tiny, 1e6)
     return np.sqrt(u[:joints]) * model.torque_error
 
 
 def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
-    """Veto: an effect at a joint halves the mean square of the torque there that nothing explains, others that of all joints.
+    """Veto: an effect at a joint must halve the mean square of the unexplained torque there, other effects that of all joints.
 
-    Else it is counted in, not named; without another one the answer is UNEXPLAINED. A torque within what is allowed is none. What
-    is left beside a name is a warning.
+    Otherwise it is fitted but not named; if no effect is left, the answer is UNEXPLAINED. A torque within the allowance counts as
+    zero. A torque that remains beside a named effect is a warning.
 
     names: of the joints.
     """
     model = e.model
     limits = thresholds().torques
-    # Sizes are those of the description: where the found friction holds a joint, any torque seems larger than it is.
+    # Torques are those of the description: where the found friction holds a joint, estimated torques are too large.
     plain = e.with_record_errors(model.with_errors(model.torque_error, model.null))
     before, after = torques(plain, model.null), torques(plain.with_scatter(row), row)
     told = verdict.gates | {"torques": {n: (float(a), float(b)) for n, a, b in zip(names, before, after, strict=True)}}
@@ -203,15 +202,15 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
         return verdict
     words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
     if verdict.answer == "AGREES":
-        return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} that no effect in question explains")
+        return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} are explained by no effect of the catalogue")
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
     everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
     share = {found.name: shares.get(site_of(found.name), everywhere) for found in verdict.effects}
     kept = tuple(found for found in verdict.effects if share[found.name] <= limits.share)
-    rest = f"torques of {words} are left that no effect explains"
+    rest = f"torques of {words} remain unexplained"
     if not kept:
         least = percent(min(share.values()))
-        why = f"{least} of the mean square of the torques that the model does not explain is left, {words}; the best is tentative"
+        why = f"{least} of the mean square of the unexplained torques remains, {words}; the best effect is tentative"
         return replace(verdict, answer="UNEXPLAINED", reason=why)
     others = tuple(found for found in verdict.effects if found not in kept)
     return replace(verdict, effects=kept, tentative=(*verdict.tentative, *others), warnings=(*verdict.warnings, rest))
