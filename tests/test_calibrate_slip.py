@@ -101,7 +101,7 @@ def test_a_longer_trial_has_the_same_speed():
     assert slip.metric("gait_slow", pose) == pytest.approx(slip.metric("gait_slow", short)) == pytest.approx(0.0472, rel=1e-3)
 
 
-@pytest.mark.parametrize(("slower", "said"), [(0.1, "no slip ratio explains"), (0.0, "the fish stays where it is in a gait")])
+@pytest.mark.parametrize(("slower", "said"), [(0.1, "no slip ratio explains"), (0.0, "the fish does not move in a gait")])
 def test_a_slip_that_cannot_be_told_writes_nothing(tmp_path, capsys, slower, said):
     trial = read_trial(SHIPPED / "swim_gait_1")
     pose = {c: slower * v if c in "xy" else v for c, v in trial.tables["pose"].items()}

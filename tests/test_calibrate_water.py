@@ -158,7 +158,7 @@ def test_trials_in_memory_give_the_robot_and_what_is_said_of_it(plant, monkeypat
 def test_fit_worse_than_the_description_is_refused(plant, monkeypatch):
     monkeypatch.setattr(water_fit, "fitted", lambda plant, records, begin, *_: lost(plant))
     trials = list(swum(in_water(ROBOT, "structured"), SWIMS[:5]).values())
-    with pytest.raises(LogError, match="water: swims that the fit has not seen are .* times as far off as the described"):
+    with pytest.raises(LogError, match="water: the error on held-out swims is .* times the error of the described"):
         water_fit.calibrate_trials(trials, ROBOT)
 
 
@@ -318,7 +318,7 @@ def test_a_poor_water_is_written_with_its_faults_and_fails(tmp_path, capsys, mon
         poor = "too poor to search with: 30.0 % mean speed error on unseen swims, above 10 %" if code else ""
         assert f"written: {tmp_path / 'mine.toml'}{', but ' * bool(poor)}{poor}\n" in said.out
         assert "parameters at a bound: " in said.out and "ke (upper)" in said.out
-        assert "not told by these swims, 90 % interval wider than the number: " in said.out and "thrust (" in said.out
+        assert "not identified by these swims (90 % interval wider than the value): " in said.out and "thrust (" in said.out
         start = "fish" if code else tmp_path / "mine.toml"  # which is there the second time, and gone on with
         assert f"relied on servo, command_latency, camera_latency as described: no calibration block of {start}" in said.out
         assert "excitation not stated by 1 of 5 swims: each such trial counts as its own kind" in said.err
@@ -350,4 +350,4 @@ def test_the_command_writes_a_fish_in_its_calibrated_water(tmp_path, capsys):
     assert label(made) == "structured" and label(in_water(made)) == "structured"  # not the water fitted to the shipped fish
     assert made.water["ke"] == pytest.approx(answer["coefficients"]["ke"]["value"], rel=1e-5)
     assert "[calibration.water]" in out.read_text(encoding="utf-8") and answer["speed_error"]["value"] < 0.05
-    assert (tmp_path / "report" / "water.png").is_file() and "speed is wrong by" in answer["words"]
+    assert (tmp_path / "report" / "water.png").is_file() and "speed error on held-out swims" in answer["words"]

@@ -39,9 +39,9 @@ def test_gates_that_hold_have_passed():
     [
         ("gap", {"adequacy": 1.0}, "an effect was accepted"),
         ("gain", {"gain": 250.0}, "all records at once"),
-        ("closure", {"closure": 0.4}, "hardly any residual is left"),
+        ("closure", {"closure": 0.4}, "the remaining residual is small"),
         ("form", {"form": 0.3}, "may be chance"),
-        ("force", {"lead": 90.0, "believed": False}, "wrong in its form"),
+        ("force", {"lead": 90.0, "believed": False}, "its form is wrong"),
     ],
 )
 def test_gate_whose_inequality_does_not_hold_has_not_passed(gate, changed, says):

@@ -13,16 +13,16 @@ RATIOS = (0.0, 0.9, 0.95, 0.98, 0.99, 0.998, 1.0)
 
 
 def fit(verb: str, argv: list[str]) -> int:
-    """Runs one of the calibrations: servo, latency, slip, water, mass. Returns the exit code: 1 for a result too poor to use."""
+    """Runs one calibration: servo, latency, slip, water or mass. Returns the exit code: 1 if the result is too poor to use."""
     from fishmj.gap.calibrate.commands import VERBS
 
     again = interrupt.again("start again")
-    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+    with interrupt.keeping(lambda: f"nothing was kept; a run takes seconds to minutes: {again}"):
         made = options(verb)
         args = made.parse_args(argv)
         begun = bool(args.out and args.out.is_file())
         if begun:
-            load_robot(args.out)  # what is no fish is not gone on with: refused before the fit
+            load_robot(args.out)  # refuses an invalid --out before the fit
         args.model = args.model or (str(args.out) if begun else "fish")
         if verb == "slip":
             needs = {"--recompute": (args.recompute, ("ratios", "device", "tanks"))}
@@ -61,20 +61,20 @@ def options(verb: str) -> console.Parser:
     made = console.parser(f"calibrate {verb}", VERBS[verb].__doc__ or "")
     add = made.add_argument
     add("--data", type=console.path, default=shipped(), help="data set of trials; for mass, the folder of measurements.toml")
-    start = "the fish to start from: shipped name or TOML file; default the file of --out where it is there, else fish"
+    start = "the fish to start from: shipped name or TOML file (default: the file of --out if it exists, else fish)"
     add("--model", type=console.text, help=start)
     gap_options.of_robot(add)
-    out = "fish file (.toml) to write, or to go on with when it is there; by default none is written"
+    out = "fish file (.toml) to write, or to update if it exists (default: write none)"
     add("--out", type=_model_file, help=out)
-    report = "folder for report.html and pictures; those that are there are replaced"
+    report = "folder for report.html and pictures; existing ones are replaced"
     add("--report", type=console.out_folder, default=str(default_report(verb)), help=report)
     if verb == "slip":
         from fishmj.lbm_oracle.run.solver_water import boundary_option
 
-        grid = "grid of the solver's table: paper, window, laptop; default: the trials', else window"
+        grid = "grid of the solver's table: paper, window, laptop (default: that of the trials, else window)"
         add("--grid", type=console.text, help=grid)
         boundary_option(add, default=None)
-        near = "grid and boundary of the reference water, in place of --grid; by default not"
+        near = "use grid and boundary of the reference water instead of --grid (default no)"
         add("--reference", action="store_true", help=near)
         add("--recompute", action="store_true", help="run the solver and print a new entry of the table; keeps finished swims")
         ratios = console.Listed(console.number(0, 1), 20)
@@ -96,10 +96,10 @@ def drawn(argv: list[str]) -> int:
     from fishmj.gap.progress import terminal_bar
 
     about = (
-        f"Calibrate robots drawn anew, whose numbers are known: errors and coverage. Those that are done are kept in {CHECKED}"
+        f"Calibrates random robots with known parameters and reports errors and coverage. Finished robots are kept in {CHECKED}"
     )
-    parser = console.parser("calibrate check", f"{about} and not done again.")
-    parser.add_argument("--robots", type=console.whole(1, 1000), default=8, help="how many are drawn; a robot takes minutes")
+    parser = console.parser("calibrate check", f"{about} and not repeated.")
+    parser.add_argument("--robots", type=console.whole(1, 1000), default=8, help="number of robots; each takes minutes")
     parser.add_argument("--seed", type=console.SEED, default=100, help="of the first")
     args = parser.parse_args(argv)
     names = {f"robot-{seed}": seed for seed in range(args.seed, args.seed + args.robots)}
@@ -140,7 +140,7 @@ main = console.CommandGroup(
         ),
         "slip": Command(
             partial(fit, "slip"),
-            "swims at two beats and a coast-down; prints the profile over s",
+            "swims at two beat frequencies and a coast-down; prints the profile over s",
             "fishmj calibrate slip --out fish.calibrated.toml",
         ),
         "water": Command(
@@ -148,7 +148,9 @@ main = console.CommandGroup(
             "free swims: gaits, turns, coasting; thrust, drag, added mass",
             "fishmj calibrate water --data my_swims --out fish.calibrated.toml",
         ),
-        "mass": Command(partial(fit, "mass"), "a page of weighings", "fishmj calibrate mass --out fish.calibrated.toml"),
+        "mass": Command(
+            partial(fit, "mass"), "weighings (measurements.toml)", "fishmj calibrate mass --out fish.calibrated.toml"
+        ),
         "model": Command(
             "fishmj.gap.calibrate.robot_command",
             "a robot in MJCF: friction, damping, armature, gains, delay, bodies, from its logs",
@@ -156,15 +158,15 @@ main = console.CommandGroup(
         ),
         "score": Command(
             "fishmj.gap.laboratory.hidden_lbm.sealed_score",
-            "synthetic trials only: fitted against the sealed values",
+            "synthetic trials only: compare the fit with the sealed truth",
             "fishmj calibrate score --model fish.calibrated.toml",
         ),
         "families": Command(
             "fishmj.gap.bench.water_families",
-            "how far off water is, on robots of every generator",
+            "error of the water calibration, on robots of every generator",
             "fishmj calibrate families --robots 3 --jobs 2",
         ),
-        "check": Command(drawn, "how far off it is, on robots drawn anew", "fishmj calibrate check --robots 16"),
+        "check": Command(drawn, "error of the calibrations, on random robots", "fishmj calibrate check --robots 16"),
     },
 )
 

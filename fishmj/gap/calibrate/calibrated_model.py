@@ -95,7 +95,7 @@ def put(text: str, table: str, values: dict, name: str = "", *, source: str = ""
     return "\n".join(lines) + "\n"
 
 
-GUESSED = re.compile(r"guess|prior|literature|not fitted|fitted to no", re.IGNORECASE)  # said of numbers that nobody measured
+GUESSED = re.compile(r"guess|prior|literature|not fitted|fitted to no", re.IGNORECASE)  # words that mark an unmeasured number
 
 
 def _comment(comment: str, source: str) -> str:

@@ -23,8 +23,8 @@ from fishmj.log.trial import stacked
 
 SIGNALS = ("sine", "square", "impulse")  # the paper's
 MEDIA = ("air", "water")
-LEAST = 2  # signals: a sine alone has one frequency, at which gain, damping and latency stand in for each other
-QUIET = np.radians(2.0)  # of command, peak to peak: less is within dead band and gear play
+LEAST = 2  # signals: a sine alone has one frequency, which cannot separate gain, damping and latency
+QUIET = np.radians(2.0)  # least peak-to-peak command: less is within dead band and gear play
 SMOOTHED, LIKE, ROWS = 0.15, 3.0, range(3, 26)  # power at an average's zeros to that between; one as deep; rows of the average
 SHORT, FEW = 100, 4  # rows of a trial, and trials, of which no smoothing is told
 FOLDER = Path("data") / "calib" / "trials"
@@ -66,17 +66,17 @@ class Logs(NamedTuple):
             found = ", ".join(f"{n} {signal} in {medium}" for (signal, medium), n in kinds.items()) or "none"
             left = "".join(f"; {name} is left out: {why}" for name, why in silent.items())
             raise LogError(
-                f"{self.folder}: a servo calibration needs at least two of {', '.join(SIGNALS)}, and finds {found}{left}. "
+                f"{self.folder}: a servo calibration needs at least two of {', '.join(SIGNALS)}; found: {found}{left}. "
                 f"Record {', '.join(lacking)} in air and in water, three times each (meta: excitation, medium);"
-                f" trials that are there, name them: log import .. --excitation TRIAL={lacking[0]}"
+                f" for existing trials, name the signal: log import .. --excitation TRIAL={lacking[0]}"
             )
         return names
 
 
 def unfit(trial: Trial) -> str:
-    """Reason that a trial is useless for a servo fit; "" if it is useful."""
+    """Reason why a trial cannot be used for a servo fit; "" if it can."""
     if "joint" not in trial.tables:
-        return "no table joint, a servo is calibrated by its angles"
+        return "no table joint; a servo calibration needs joint angles"
     span = float(np.ptp(stacked(trial.table("cmd"), "c#"), axis=0).max())
     if span >= QUIET:
         return ""
@@ -84,10 +84,10 @@ def unfit(trial: Trial) -> str:
 
 
 def smoothing(trials: "list[Trial]") -> str:
-    """Note on joint angles that a moving average smoothed; "" if none is seen.
+    """Warning about joint angles smoothed by a moving average; "" if there is no sign of one.
 
-    An average over w rows has no power at multiples of 1 / w of the rate, whatever it averages. Each signal must show that, since
-    a periodic one has little power at some frequencies by itself.
+    An average over w rows has no power at multiples of 1 / w of the rate. Every signal must show that, since a periodic one has
+    little power at some frequencies anyway.
     """
     kinds: dict[str, list[list[float]]] = {}
     for trial in trials:
@@ -105,7 +105,7 @@ def smoothing(trials: "list[Trial]") -> str:
     rows = ROWS[int(np.flatnonzero(left <= min(SMOOTHED, LIKE * left.min()))[-1])]
     return (
         f"joint: the angles have no power at multiples of 1/{rows} of their rate, as after a moving average over {rows} rows. A"
-        " centred one shortens command_latency and raises kd; give the angles as the servo sent them"
+        " centred average shortens command_latency and raises kd; use the unsmoothed angles"
     )
 
 
@@ -118,7 +118,7 @@ def _level(x: np.ndarray, frequencies: np.ndarray) -> float:
 def angles(record: Record) -> Sensor:
     """The measured joint angles. Raises LogError without any."""
     if record.joint is None:
-        raise LogError(f"trial {record.name}: no table joint; a servo is calibrated by its angles")
+        raise LogError(f"trial {record.name}: no table joint; a servo calibration needs joint angles")
     return record.joint
 
 

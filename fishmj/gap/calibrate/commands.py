@@ -1,4 +1,4 @@
-"""The five calibrations behind the command line: fit, tables, report, fish file; and their errors for known truths.
+"""The five calibrations of the command line: fit, tables, report, fish file; and their errors on robots of known parameters.
 
 The systematic part of every interval comes from these errors.
 """
@@ -128,7 +128,7 @@ def servo_report(args, logs: Logs, found: servo_fit.ServoFit, refusal: str = "")
         for s, m in sorted({(r.excitation, r.medium) for r in found.records})
         if (part := [r for r in found.records if (r.excitation, r.medium) == (s, m)])
     ]
-    once = f"all in {found.records[0].medium}: record the same in the other medium, and what the hull adds shows"
+    once = f"all in {found.records[0].medium}: record the same in the other medium to separate the hull's contribution"
     both = console.table(apart) if apart else once
     console.say(*source_lines(logs), console.table(rows(estimates)), "", both, "", console.table(left))
     console.say("", console.table(found.hull), *([found.words] if found.words else []))
@@ -155,7 +155,7 @@ def run_latency(args) -> Answer:
     page = fit_plots.report(args.report, "Latency calibration", tables, None, source_lines(logs))
     if "camera_latency" not in estimates:
         needs = " and ".join(servo_fit.ABRUPT)
-        console.warn(f"camera_latency is not told and stays as described: no {needs} with joint and pose shows a lag")
+        console.warn(f"camera_latency was not identified and stays as described: no {needs} with joint and pose shows a lag")
     if args.out:
         values = {name: calibrated_model.short(e.value) for name, e in estimates.items()}
         text = calibrated_model.put(calibrated_model.start(args.out, args.model), "timing", values, source=source(args))
@@ -225,8 +225,8 @@ def run_water(args) -> Answer:
     found = water_fit.calibrate(logs, plant, bars=terminal_bar)
     left, begin = found.speed_error, [swim.speed_error for swim in found.before]
     words = (
-        f"on swims that the fit has not seen the speed is wrong by {100 * left.value:.1f} % in the mean and"
-        f" {100 * left.high:.1f} % at worst; as described by {100 * float(np.nanmean(begin)):.1f} % in the mean"
+        f"speed error on held-out swims: {100 * left.value:.1f} % on average,"
+        f" {100 * left.high:.1f} % at worst; with the described water {100 * float(np.nanmean(begin)):.1f} % on average"
     )
     doubts, poor = water_doubts.doubts(found), water_doubts.too_poor(found)
     doubts += [*unnamed, *water_doubts.unmeasured(args.model, args.out)]

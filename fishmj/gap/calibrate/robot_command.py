@@ -1,9 +1,9 @@
 """`calibrate model LOGS --model robot.xml`: the numbers that a robot's description leaves open, from its own logs.
 
 Friction, damping and armature of each joint, gains of each actuator, the delay of the commands, and mass, inertia and centre of
-each body within their tolerance, each with a 90 % interval. --out writes those that the logs tell into the text of the MJCF; its
-comments and layout stay. The others keep their stated value, and the table says why. What is fitted here is no longer missing for
-gap find: leave out with --only what is to be asked there.
+each body within their tolerance, each with a 90 % interval. --out writes the identified ones into the text of the MJCF and
+keeps its comments and layout. The others keep their stated value, and the table says why. gap find no longer sees an effect that
+was fitted here: use --only to exclude the parameters that it should search.
 
     fishmj calibrate model LOGS --model robot.xml --out robot.calibrated.xml
     fishmj calibrate model LOGS --model robot.xml --only gain,delay,bodies
@@ -46,16 +46,16 @@ def main(argv: list[str]) -> int:
         raise ConfigError(f"{args.out}: exists, or does not end in .xml; choose another name with --out")
     robot, _, trials, broken = read_logs(args)
     if len(trials) < FEWEST:
-        raise LogError(f"{args.data}: {len(trials)} log can be read; at least {FEWEST} are needed, so that they can differ")
+        raise LogError(f"{args.data}: {len(trials)} log can be read; at least {FEWEST} are needed, for intervals")
     records = robot_records(trials, robot.dt, robot.channels)
     robot.check_contact(records)
     refuse_mistakes(robot, records, anyway=True)
     again = interrupt.again("start again")
-    with interrupt.keeping(lambda: f"nothing of it is kept, it takes seconds to minutes; {again}"):
+    with interrupt.keeping(lambda: f"nothing was kept; a run takes seconds to minutes: {again}"):
         found = fit_robot(robot, records, args.only, progress.terminal_bar)
         console.say(console.table([_row(n) for n in found.numbers]), "", console.table(_errors(found)))
         before, after, whole = found.misfit
-        console.say(f"|z|^2 / m: {level(before)} as described, {level(after)} with what is written, {level(whole)} with all")
+        console.say(f"|z|^2 / m: {level(before)} as described, {level(after)} with the written numbers, {level(whole)} with all")
         if args.out:
             write(found, robot, args)
     if args.json:
@@ -68,7 +68,7 @@ def write(found: RobotFit, robot, args) -> None:
     """Writes the MJCF, its numbers and intervals in a comment. Raises LogError if it would explain the logs no better."""
     identified = [n for n in found.numbers if n.is_told]
     if not identified or not found.misfit[1] < found.misfit[0]:
-        why = "the logs tell none of the numbers" if not identified else "what the logs tell alone explains them no better"
+        why = "the logs identify none of the numbers" if not identified else "the identified numbers alone explain them no better"
         raise LogError(f"{args.data}: {why}; nothing is written. Record motions that separate them: fishmj gap next --help")
     rows = [f"  {title(n.name)} {number(n.value)} ({number(n.low)} to {number(n.high)}) {n.unit}" for n in identified]
     head = f"calibrated by fishmj calibrate model, MuJoCo {mujoco.__version__}; parent {robot.path.name}; 90 % intervals:"

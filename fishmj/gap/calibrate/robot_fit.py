@@ -4,8 +4,8 @@
     theta*    argmin |z|^2 + sum ((theta - stated) / sigma)^2        parameter_fit.py, with its intervals
     sigma     tolerance of masses, inertias and centres (data/calib/robot.toml); of the others the search's prior, which is wide
 
-A number is told if the standard deviation of its estimate is below half of sigma, or (bodies aside) of its change. One that
-the logs do not tell keeps its stated value: its interval is mostly the prior. If two trade with each other, neither is told.
+A parameter is identified if the standard deviation of its estimate is below half of sigma, or (except for bodies) of its change.
+Others keep their stated value, because their interval is mostly the prior. Two that compensate each other are not identified.
 """
 
 from collections.abc import Sequence
@@ -26,17 +26,17 @@ from fishmj.gap.search.free_numbers import KINDS, OpenNumber, effects_of, free_n
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.wording import title
 
-TOLD = 0.5  # of sigma, or of the change; the largest standard deviation of a number that the logs tell
-STILL = 0.02  # rad or m, about a degree: the way of a joint that does not move
-TRADED = 0.8  # correlation from which two numbers trade with each other
+TOLD = 0.5  # of sigma, or of the change: largest standard deviation of an identified parameter
+STILL = 0.02  # rad or m: a joint with less movement counts as still
+TRADED = 0.8  # correlation from which two parameters compensate each other
 PERCENT = 100
 
 
 class FittedNumber(NamedTuple):
     """One number of a description, SI, with its 90 % interval.
 
-    stated: of the description, a factor of 1 for gains and bodies. told: share of the prior's standard deviation (or of the
-    change) that is gone. traded: other numbers that could make up for it. inert: no log shows it. bound: where it ended.
+    stated: of the description, a factor of 1 for gains and bodies. told: share by which the prior's standard deviation (or
+    the change) was reduced. traded: parameters that could compensate it. inert: no log shows it. bound: the bound it reached.
     """
 
     name: str
@@ -53,9 +53,9 @@ class FittedNumber(NamedTuple):
 
 
 class RobotFit(NamedTuple):
-    """numbers: in the order of KINDS. model, delay: MjModel with those that are told, and s that all commands come later.
+    """numbers: in the order of KINDS. model, delay: MjModel with the identified ones, and delay of all commands, s.
 
-    errors: {joint: RMS error [rad or m] as described, with the told numbers, with all}. misfit: |z|^2 / m of the same three.
+    errors: {joint: RMS error [rad or m] as described, with the identified numbers, with all}. misfit: |z|^2 / m of the same.
     """
 
     numbers: tuple[FittedNumber, ...]
@@ -110,21 +110,21 @@ def fit_robot(
 
 
 def _still(robot: RobotDescription, records: list) -> set[str]:
-    """Names of the joints that do not move: a joint at rest tells nothing of its friction."""
+    """Names of the joints that do not move, whose friction cannot be identified."""
     moved = np.max([np.ptp(r.joint.values, 0) for r in records], 0)
     return {name for name, way in zip(robot.channels, moved, strict=True) if way < STILL}
 
 
 def _numbers(free: list[OpenNumber], found: LeastSquaresFit) -> tuple[FittedNumber, ...]:
-    """The estimates as absolute values, and what the logs tell of them."""
+    """The estimates as absolute values, and whether the logs identify them."""
     estimates: list[ParameterEstimate] = [found.estimates[n.name] for n in free]
     covariance = found.spreads["curvature"].covariance
     sd = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance) / np.maximum(np.outer(sd, sd), 1e-300)
-    # A body beyond its tolerance makes up for what is not fitted: its change is no measure.
+    # A body beyond its tolerance compensates something that is not fitted, so its change is no measure.
     change = [0.0 if n.is_factor else abs(e.value - n.start) for n, e in zip(free, estimates, strict=True)]
     scale = [max(n.sigma, c) for n, c in zip(free, change, strict=True)]
-    # No friction is a value; another bound is where the search for one ended.
+    # Zero friction is a valid value; any other bound only ends the search.
     bound = [e.bound if e.bound == "upper" or n.low > -n.base else "" for n, e in zip(free, estimates, strict=True)]
     is_told = [e.sd <= TOLD * size and not b for e, size, b in zip(estimates, scale, bound, strict=True)]
     out = []
@@ -144,11 +144,15 @@ def _inert(model: RigidRobot, name: str) -> FittedNumber:
 
 
 def described(number: FittedNumber) -> str:
-    """Words for what becomes of a number."""
+    """Words for the treatment of a parameter."""
     if number.inert:
         return "left: no log shows it"
     if number.is_told:
         return "written"
     if number.bound:
-        return f"left: at the {number.bound} bound of its range"
-    return f"left: trades with {', '.join(map(title, number.traded))}" if number.traded else "left: the logs do not tell it"
+        return f"unchanged: at the {number.bound} bound of its range"
+    return (
+        f"unchanged: compensated by {', '.join(map(title, number.traded))}"
+        if number.traded
+        else "unchanged: not identified by the logs"
+    )

@@ -27,14 +27,14 @@ from fishmj.gap.records.records import Record
 from fishmj.log.timebase import Audit, audit, lag_between
 
 FREE = ("kp", "kd", "friction", "command_latency")
-OPEN = 1.0  # width of a 90 % interval, of the number itself (friction: of the stall torque); wider is not told
-STRAINED = 3.0  # tolerances that a constant of hull or water may be off before the water is called another
-OUTLIER = 0.1  # of a joint's movement: a reading that is farther off counts by its size
-UNEXPLAINED, NOISY = 0.15, 10.0  # left of a joint's movement, and times its noise: beyond both the servo is another one
+OPEN = 1.0  # widest 90 % interval of an identified number, relative to it (friction: to the stall torque)
+STRAINED = 3.0  # shift of a hull or water constant, in tolerances, above which the model's water is wrong
+OUTLIER = 0.1  # of a joint's movement: larger residuals are weighted as outliers (Huber)
+UNEXPLAINED, NOISY = 0.15, 10.0  # residual over a joint's movement and over its noise: above both the servo model is wrong
 COUNT = np.radians(0.24) / np.sqrt(12.0)  # rad, noise of a joint where none is stated: one count of a hobby servo's encoder
-TRIMMED = 0.95  # of the samples, the smallest, by which a fit is judged
+TRIMMED = 0.95  # share of the samples, smallest residuals first, that judge a fit
 SWIMS = ("gait", "gait_slow", "gait_fast", "turn_left")
-ABRUPT = ("square", "impulse")  # the heading of a steady beat lags by the water's phase, which is the model's to get wrong
+ABRUPT = ("square", "impulse")  # the heading of a steady beat lags by the water's phase, where the model may be wrong
 
 
 class ServoFit(NamedTuple):
@@ -64,7 +64,7 @@ class ServoFit(NamedTuple):
     def words(self) -> str:
         """Text on the constants that were pushed too far; empty if there is none."""
         far = [f"{row['constant']} {row['factor']:.2f}" for row in self.hull if row["off by"] > STRAINED]
-        return f"the model's water is not that of the trials: {', '.join(far)} of the described values" if far else ""
+        return f"the fit needs hull or water constants far from the described ones: {', '.join(far)} times these" if far else ""
 
 
 class BadFit(LogError):
@@ -97,15 +97,15 @@ def calibrate(logs: Logs, plant: ServoStand, *, alone: bool = True, bars: Bars =
     if left := unexplained(records, whole.after):
         more = f"; and {len(left) - 3} more" if left[3:] else ""
         raise BadFit(
-            f"{logs.folder}: no servo of the model explains {'; '.join(left[:3])}{more}."
-            " Look at those readings and commands (fishmj log check), or start from the servo's own --model",
+            f"{logs.folder}: no parameters of the model's servo explain {'; '.join(left[:3])}{more}."
+            " Check those readings and commands (fishmj log check), or give the right --model",
             found,
         )
     if left := open_numbers(plant, whole.estimates):
         lacking = [m for m in MEDIA if not any(r.medium == m for r in records)]
         more = f" in {lacking[0]} as well" if lacking else " in air and in water, three times each"
         raise BadFit(
-            f"{logs.folder}: {len(records)} trials do not tell {'; '.join(left)}. "
+            f"{logs.folder}: {len(records)} trials do not identify {'; '.join(left)}. "
             f"Record {', '.join(SIGNALS)}{more}, with amplitudes that move the joints",
             found,
         )
@@ -147,7 +147,7 @@ def open_numbers(plant: ServoStand, estimates: dict[str, ParameterEstimate]) -> 
         e = estimates[p.name]
         scale = plant.robot.servo.torque if p.name == "friction" else abs(e.value)
         if e.high - e.low > OPEN * scale or e.value >= p.high or (e.value <= p.low and p.name != "friction"):
-            out.append(f"{p.name} ({e.low:.3g} to {e.high:.3g} {e.unit}, sought in {p.low:.3g} to {p.high:.3g})")
+            out.append(f"{p.name} ({e.low:.3g} to {e.high:.3g} {e.unit}, searched in {p.low:.3g} to {p.high:.3g})")
     return out
 
 

@@ -1,11 +1,11 @@
-"""Friction of the hull: the slip ratio s with which the flow solver's fish swims and coasts like the logged one.
+"""Estimates hull friction: the slip ratio s at which the flow solver's fish swims and coasts like the logged one.
 
     J(s, g) = sum_k ((m_k - p_k(s) sqrt(g)^[k is a swim]) / (e m_k))^2 + ((g - 1) / e_g)^2,       profile J(s) = min over g
 
-m: speed at 1 Hz, speed at another beat, distance of a coast-down, each over the same seconds of every swim. g: thrust against
-drag. No single swim can tell g from friction: for every s some g explains it. The coast has no thrust. Interval: J up to 2.71
-above its minimum (90 %). The minimum of J tests that some s explains the swims: chi square with as many degrees of freedom as
-metrics, less one for s.
+m: speed at 1 Hz, speed at another beat, distance of a coast-down, each over the same seconds of every swim. g: thrust relative
+to drag. A single swim cannot separate g from friction: for every s some g explains it. The coast has no thrust. Interval: J up to
+2.71 above its minimum (90 %). The minimum of J tests that some s explains the swims: chi square with as many degrees of freedom
+as metrics, less one for s.
 
 p_k(s) is a table of solver swims. Between its entries 1 / speed^2 is taken as straight in 1 - s, as near s = 1 it is: the wall's
 stress is rho c times the speed at which water slides along it, c = -ln(s) dx / dt, and drag over thrust is a + b c.
@@ -29,7 +29,7 @@ COAST = "tow_ahead"
 WINDOW = {"gait": (5.9, 7.9), "gait_slow": (3.9, 7.9), COAST: (0.5, 4.5)}  # s, whole beats; a slow fish still gains speed there
 SPARE = 0.3  # s of a swim after its window: the camera is late
 EDGE = 0.05  # s at both ends, averaged against the camera's noise
-DOUBTFUL = 0.05  # probability of a J as large, were the solver's fish the logged one
+DOUBTFUL = 0.05  # p-value of J below which the estimate is invalid
 RISE = 2.71  # of chi square with one degree of freedom, 90 %
 GRID = np.linspace(0.0, 1.0, 1001) ** 2  # 1 - s, dense where the speed changes most
 SHOWN = (0.0, 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998, 1.0)
@@ -48,7 +48,7 @@ class Profile(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Result of the profile besides the interval."""
+        """Sentence on the fit, or on why the estimate is invalid."""
         return self.doubt or f"J = {self.cost.min():.2f} at its least, {len(self.predicted)} metrics"
 
     @property
@@ -59,9 +59,9 @@ class Profile(NamedTuple):
         e, least = self.estimate, float(self.cost.min())
         free = max(len(self.predicted) - 1, 1)  # one metric is met by some ratio, unless its fish is another
         if chi2.sf(least, free) < DOUBTFUL:
-            return f"no slip ratio explains all of these swims: J = {least:.1f} at its least, {len(self.predicted)} metrics"
+            return f"no slip ratio explains all of these swims: minimum J = {least:.1f}, {len(self.predicted)} metrics"
         if e.low <= self.s[0] and e.high >= self.s[-1]:
-            return f"cannot be told: every slip ratio from {self.s[0]:g} on explains these swims with some thrust"
+            return f"not identifiable: every slip ratio from {self.s[0]:g} up explains these swims with some thrust"
         return ""
 
     def rows(self) -> list[dict]:
@@ -88,9 +88,7 @@ def measured(trials: Iterable[Trial]) -> dict[str, tuple[float, int]]:
         if (name in SWIMS or name == COAST) and trial.value("medium", "water") == "water" and "pose" in trial.tables:
             value = metric(name, trial.table("pose"))
             if value == 0.0:
-                raise LogError(
-                    f"slip: trial {trial.name}: the fish stays where it is in a {name}; is the camera's pose recorded?"
-                )
+                raise LogError(f"slip: trial {trial.name}: the fish does not move in a {name}; is the camera's pose recorded?")
             if np.isfinite(value):
                 found.setdefault(name, []).append(value)
     if not found:

@@ -1,4 +1,4 @@
-"""Doubts about a calibrated water, for the last lines of `calibrate water`: untold numbers, numbers taken as described."""
+"""Warnings at the end of `calibrate water`: unidentified parameters, and parameters assumed as described."""
 
 import shlex
 from collections.abc import Iterable
@@ -20,14 +20,14 @@ def unnamed(trials: Iterable[Trial]) -> list[str]:
     listed = list(trials)
     if not (count := sum(not trial.value("excitation") for trial in listed)):
         return []
-    todo = "repeats inflate the result; name them: log import --excitation TRIAL=NAME"
+    todo = "so repeats make the result look too good; name them: log import --excitation TRIAL=NAME"
     return [f"excitation not stated by {count} of {len(listed)} swims: each such trial counts as its own kind, {todo}"]
 
 
 def unmeasured(model: str, out: Path | None = None) -> list[str]:
-    """Line on numbers that the fit relied on and that no calibration of the model states; [] if all are stated.
+    """Warning about parameters that the fit relied on but no calibration of the model states; [] if all are stated.
 
-    out: fish file to be continued, which may state them although the fit did not see it.
+    out: existing fish file, which may state them although the fit did not use it.
     """
     lacking = _unstated(model)
     if not lacking:
@@ -46,11 +46,11 @@ def doubts(found: WaterFit) -> list[str]:
         for e in found.physical.values()
         if e.high - e.low > OPEN * abs(e.value)
     ]
-    slow = [] if np.isfinite(found.speed_error.value) else [f"no swim is faster than {SLOW:g} m/s: the speed error is not known"]
+    slow = [] if np.isfinite(found.speed_error.value) else [f"no swim is faster than {SLOW:g} m/s, so the speed error is unknown"]
     servo = loose_servo(found.plant, found.records, found.theta)
     return [
         *([f"{len(held)} of {len(found.coefficients)} parameters at a bound: {', '.join(held)}"] if held else []),
-        *([f"not told by these swims, 90 % interval wider than the number: {', '.join(open_ended)}"] if open_ended else []),
+        *([f"not identified by these swims (90 % interval wider than the value): {', '.join(open_ended)}"] if open_ended else []),
         *slow,
         *([servo] if servo else []),
     ]

@@ -5,7 +5,7 @@
     theta*   by least squares from two starts; a mean counts as much as (`RATE` / `MEAN`)^2 of its rates: their error is mostly
              the beat's and hides a mean that is wrong by a tenth
 
-Coefficients stand in for each other: a fish cannot tell drag from thrust at one speed, and no strip is the real water. So the
+Coefficients compensate each other: one speed cannot separate drag from thrust, and strips only approximate real water. So the
 result states body-level quantities (water_plant.physical) with intervals, and the fish's error on swims outside the fit: the
 kinds of swim lie in folds, and each fold is predicted by a fit to the others. Servo and latencies are taken from the description:
 calibrate them first.
@@ -37,15 +37,15 @@ from fishmj.water.choice import STRUCTURED
 from fishmj.water.dynamics.tolerance import of_movement
 
 SHORT, LONG = 0.2, 10  # s over which places are averaged; rates of a mean
-RATE, MEAN = 8.0, 0.5  # tolerances that a rate, and a mean, may be off by
+RATE, MEAN = 8.0, 0.5  # tolerance weights of a rate, and of a mean
 FOLDS = 5
 ROUNDS, AGAIN = 40, 12  # of a fit, and of a fit to other swims that begins at the whole one's end
 ENOUGH, ENOUGH_AGAIN = 1e-3, 3e-3  # of the cost
-FEWEST = 4  # swims: with fewer nothing can be left out
+FEWEST = 4  # swims needed for cross-validation
 KINDS = 3  # kinds of swim (`excitation`) at least, or one gait's thrust and drag stand in for each other
-SLOW = 0.05  # m/s: below it a relative error of speed means nothing
-LOOSE = 0.03  # of an amplitude: a fish's speed goes with it
-FAR = 1e3  # tolerances of a fish that a coefficient too far has lost
+SLOW = 0.05  # m/s: below it a relative speed error is meaningless
+LOOSE = 0.03  # relative error of an amplitude, to which the speed is proportional
+FAR = 1e3  # error of a diverged fish, in tolerances
 MOVED = 0.05  # m/s or rad/s of a push
 
 
@@ -91,10 +91,10 @@ class WaterFit(NamedTuple):
 
     @property
     def refusal(self) -> str:
-        """Reason not to use the fit: it predicts swims that it has not seen worse than the described coefficients do; else ""."""
+        """Reason not to use the fit: it predicts held-out swims worse than the described coefficients do; else ""."""
         unseen, described = self.misfit
-        off = f"{np.sqrt(unseen / max(described, 1e-12)):.3g} times as far off as the described coefficients"
-        return f"water: swims that the fit has not seen are {off}; keep those, or record more swims" if unseen > described else ""
+        off = f"{np.sqrt(unseen / max(described, 1e-12)):.3g} times the error of the described coefficients"
+        return f"water: the error on held-out swims is {off}; keep those, or record more swims" if unseen > described else ""
 
     @property
     def speed_error(self) -> ParameterEstimate:
@@ -167,7 +167,7 @@ def swims(logs: Logs) -> list[str]:
 def pose_of(record: Record) -> Sensor:
     """The camera's poses. Raises LogError without any."""
     if record.pose is None:
-        raise LogError(f"trial {record.name}: no table pose; water is calibrated by how the fish moves")
+        raise LogError(f"trial {record.name}: no table pose; a water calibration needs the camera's poses")
     return record.pose
 
 
@@ -273,7 +273,7 @@ def intervals(plant: WaterPlant, whole: Minimum, others: np.ndarray) -> tuple[di
         for k, p in enumerate(parameters)
     }
     felt = plant.physical(rows)
-    least = lambda name: -np.inf if name == "thrust" else 0.0  # water takes energy, and carried water has a mass
+    least = lambda name: -np.inf if name == "thrust" else 0.0  # drag and added mass are positive
     return coefficients, {name: estimate(name, unit, felt[name], least(name)) for name, unit in PHYSICAL.items()}
 
 
@@ -294,8 +294,8 @@ def loose_servo(plant: WaterPlant, records: list[Record], theta: np.ndarray) -> 
     spans = [(r.joint.values.std(), p["joint"][0].std()) for r, p in zip(records, seen, strict=True) if r.joint is not None]
     ratios = [measured / made for measured, made in spans if made > QUIET / 2]
     if not ratios:
-        return "no trial has joint angles that move: whether the servos move as they are described is not known"
+        return "no trial has moving joint angles: the described servos could not be checked"
     if abs((ratio := float(np.median(ratios))) - 1.0) <= LOOSE:
         return ""
     moved = f"the joints move {ratio:.2f} times as far as the described servos move them"
-    return f"{moved}: run calibrate servo first, or thrust takes the blame"
+    return f"{moved}: run calibrate servo first, or the error goes into the thrust"

@@ -32,7 +32,7 @@ class WaterPlant(StripWaterFish):
         return out
 
     def starts(self) -> np.ndarray:
-        """(S, K) start points of a fit: as described, and with a wing-like tail, which is another valley."""
+        """(S, K) start points of a fit: as described, and with a wing-like tail, which may lead to another local minimum."""
         first = np.array([p.start for p in self.parameters()])
         names, other = [p.name for p in self.parameters()], first.copy()
         for name, value in calibration_table()["water"]["wing"].items():

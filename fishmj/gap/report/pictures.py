@@ -16,7 +16,7 @@ from fishmj.gap.records.records import ChannelBlock
 from fishmj.gap.report.report_data import RoundFinalists
 from fishmj.gap.wording import SCALES, level, number
 
-MAPPED = 16  # finalists in a confusion map: more could not be read
+MAPPED = 16  # finalists in a confusion map; more would be illegible
 INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"
 MEASURED, BEFORE, AFTER, ACCENT = INK, VERMILION, BLUE, GREEN
 STYLE = OPEN | {
@@ -47,7 +47,7 @@ STYLE = OPEN | {
 
 
 def gaps(rows: dict[str, tuple[float, float]], changed: bool, allowed: float) -> str:
-    """Bar chart of (before, after) of all records and of each channel, by name. allowed: below it model and records agree."""
+    """Bar chart of the gap (before, after) of all records and of each channel, by name. allowed: largest gap that agrees."""
     figure, axes = canvas(1, 1, (6.2, 0.72 * len(rows) + 0.85))
     axis = axes[0, 0]
     axis.axvspan(0.01, allowed, color=BAND, zorder=0)
@@ -90,7 +90,9 @@ def growth(found: tuple[GrowthCurve, ...], changed: bool) -> str:
         told = c.kind != "not told"
         slope = f"slope {_tenth(c.slope)} ({_tenth(c.low)} to {_tenth(c.high)}): {c.kind}"
         axis.set_title(f"{c.channel} [{unit}]", pad=20)
-        axis.text(0, 1.035, slope if told else "no slope above the start's", transform=axis.transAxes, color=QUIET, fontsize=9.2)
+        axis.text(
+            0, 1.035, slope if told else "no growth above the start's error", transform=axis.transAxes, color=QUIET, fontsize=9.2
+        )
         axis.set_xlabel("time since the restart [s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     handles.append(figure.axes[0].collections[0])
@@ -253,7 +255,7 @@ def _wrapped(text: str, width: int = 14) -> str:
 
 
 HALF = 1.645  # of a 90 % band
-ZOOM = {"joint": 4.0, "heading": 8.0}  # s shown: a beat must be seen
+ZOOM = {"joint": 4.0, "heading": 8.0}  # s shown, so that single beats are visible
 MOST = 3
 UNITS = {"joint": (math.degrees(1), "deg"), "heading": (math.degrees(1), "deg"), "position": (1e3, "mm"), "power": (1.0, "W")}
 
@@ -267,9 +269,9 @@ class TracePanel(NamedTuple):
 
 
 def chosen(c: Comparison) -> list[TracePanel]:
-    """The block of each channel with the largest share of the gap, biggest first; one record twice only if there is no other."""
+    """The block of each channel with the largest share of the gap, largest first; no record twice if there is another."""
     best: dict[str, tuple[float, ChannelBlock]] = {}
-    for b in (b for b in c.layout.blocks if b.channel in UNITS):  # where the fish was put is no trace
+    for b in (b for b in c.layout.blocks if b.channel in UNITS):  # a start pose is no trace
         excess = float(np.sum(c.ratio[0][b.where] - 1.0))
         if b.channel not in best or excess > best[b.channel][0]:
             best[b.channel] = (excess, b)
@@ -308,7 +310,7 @@ def traces(c: Comparison, use: list[str]) -> str:
             upper.plot(t, factor * predicted[1], color=AFTER, linewidth=1.5, label="with what was found")
         shown = (b.t >= start) & (b.t <= stop)
         floor = factor * HALF * c.scale[b.where][shown]
-        lower.fill_between(b.t[shown], -floor, floor, color=BAND, linewidth=0, label="floor, nine of ten null runs")
+        lower.fill_between(b.t[shown], -floor, floor, color=BAND, linewidth=0, label="90 % of the null runs")
         lower.plot(b.t[shown], factor * c.residuals[0][b.where][shown], "--", color=BEFORE, linewidth=1.5)
         if c.changed:
             lower.plot(b.t[shown], factor * c.residuals[1][b.where][shown], color=AFTER, linewidth=1.6)

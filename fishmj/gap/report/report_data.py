@@ -20,9 +20,9 @@ from fishmj.gap.workflow import Inquiry
 class ReportRow:
     """One finalist of a round.
 
-    values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival). behind: difference in likelihood to
-    the tried candidate, each in the evidence around itself, as a share of the tried one's gain; below zero, ahead; None if that
-    gains nothing. tried: True for the tried candidate.
+    values: parameter -> (value, unit). p_best: None on a bound (a limiting form, no rival). behind: twice the log likelihood by
+    which it trails the tried candidate, each linearised at itself, as a share of the tried one's gain; negative if ahead; None if
+    that gains nothing. tried: True for the tried candidate.
     """
 
     name: str
@@ -76,12 +76,12 @@ def gather(inquiry: Inquiry) -> ReportData:
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
-    """The row with the found effects; the present model if the answer lists none, or if they did not help unseen records."""
+    """Parameter row with the found effects; of the present model if there are none, or if they did not help unseen records."""
     return (inquiry.found.best if inquiry.verdict.taken else inquiry.found.base).row
 
 
 def channels(inquiry: Inquiry) -> dict[str, tuple[float, float]]:
-    """The gap of the verdict by channel, before and after, as `Verdict.gap` is measured: on all records searched."""
+    """(before, after) of the gap by channel, on all records searched, as for `Verdict.gap`."""
     e, found = inquiry.evidence, inquiry.found
     near = found.near if inquiry.verdict.taken else e
     one, two = e.gap(found.base.row)[1], near.gap(after(inquiry))[1]
@@ -108,7 +108,7 @@ def rounds(inquiry: Inquiry) -> tuple[RoundFinalists, ...]:
         rows = []
         for i, c in enumerate(step.ranked):
             name = "+".join(c.newest if c.names[: -c.added] == start.names else c.names)
-            p = given.get(name, drawn.get(i))  # the verdict polished its rivals: one may have left its bound
+            p = given.get(name, drawn.get(i))  # the verdict refitted its rivals: one may have left its bound
             behind = float((c.cost - best.cost) / gained) if gained > 0 else None
             rows.append(ReportRow(name, values(e.model, c, name), behind, p, name in against, c is best))
         order = listed(rows)
@@ -153,7 +153,7 @@ def blind(inquiry: Inquiry, gates: Gates) -> tuple[UndetectableEffect, ...]:
 
 
 def gap_of(m: ReportData) -> tuple[float, float]:
-    """The pair on the page, `Verdict.gap`; twice the same if nothing was taken."""
+    """(before, after) on the page, as `Verdict.gap`; equal if no effect was accepted."""
     before, now = m.inquiry.verdict.gap
     return before, before if now is None else now
 

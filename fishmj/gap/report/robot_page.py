@@ -15,7 +15,7 @@ from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
 
-SET_ON = "Some thresholds were chosen with the logs of one robot in view. How often names are right: docs/search/mujoco_robot.md."
+SET_ON = "Some thresholds were chosen on the logs of one robot. Benchmark of the answers: docs/search/mujoco_robot.md."
 
 
 def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[str, str], folder: Path) -> str:
@@ -47,7 +47,7 @@ def next_step(inquiry: Inquiry) -> str:
     """One sentence on the next step: for CLASS, what separates the effects."""
     v = inquiry.verdict
     if v.answer == "NAMED":
-        return "Write it into the description with `fishmj gap apply`, and record anew."
+        return "Write it into the description with `fishmj gap apply`, then record new logs."
     known = {x.name: x for x in inquiry.evidence.model.active.effects}
     for r in v.rivals if v.answer == "CLASS" else ():
         one, other = str(r.get("instead_of", "")), str(r["name"])
@@ -58,7 +58,7 @@ def next_step(inquiry: Inquiry) -> str:
     if v.answer == "CLASS":
         return "Record a motion in which the listed effects differ: `fishmj gap next REPORT --out experiment.csv` writes one."
     if v.answer == "UNEXPLAINED":
-        return "Look at the joint and the motion in which the residual lies, and at the torques that are left there."
+        return "Inspect the joint and the motion with the largest residual, and the unexplained torques there."
     return "Nothing to add." if v.answer == "AGREES" else "Record more replicates."
 
 
@@ -68,12 +68,12 @@ def _where(place: RobotLocalisation) -> Section:
         for joint, share in place.joints.items()
     ]
     times = [{"time": name, "share": percent(share)} for name, share in place.thirds.items()]
-    about = "Shares of the residual above the floor, before anything is named, by the speed of the joint and the time in a log."
+    about = "Shares of the present model's residual above the floor, by joint, joint speed and time in the log."
     return Section("Where it is", about, [part("beside", table(rows), table(times), "two")])
 
 
 def _torques(m: ReportData) -> Section:
-    """Torques that no effect explains; empty where they were not asked for."""
+    """Section on unexplained torques; empty if they were not estimated."""
     found = m.inquiry.verdict.gates.get("torques", {})
     robot = m.inquiry.evidence.model
     unit = robot.robot.force_unit
@@ -83,7 +83,7 @@ def _torques(m: ReportData) -> Section:
         | {"usual torque of the joint": quantity(usual[joint], unit(joint))}
         for joint, (a, b) in found.items()
     ]
-    about = "Most likely size of the torques at each joint before and after what was found, each lasting 60 ms."
+    about = "Most likely unexplained torque at each joint, in steps of 60 ms, before and after the found effects."
     return Section("Torques that the model does not explain", about, [table(rows) if rows else ""])
 
 
@@ -94,4 +94,4 @@ def _each(answers: dict[str, str], v: Verdict) -> Section:
         | ({"the same on this robot in any motion": same[name]} if any(same.values()) else {})
         for name, answer in answers.items()
     ]
-    return Section("Effect by effect", "One may be certain beside another that is not.", [table(rows) if rows else ""])
+    return Section("Effect by effect", "One effect may be certain and another not.", [table(rows) if rows else ""])

@@ -23,7 +23,7 @@ from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes
 
 NOTHING = Section("", "", ())
 UNMET, ACCEPTED = "not met; continued", "an effect was accepted"
-SET_ON = "Thresholds were set on null runs and planted effects; benchmarks are scored on others."
+SET_ON = "Thresholds were set on null runs and planted effects; the benchmarks use other data."
 
 
 def html(m: ReportData) -> str:
@@ -64,11 +64,11 @@ def figures(m: ReportData) -> list[tuple[str, str]]:
     if m.comparison.changed:
         out.append((f"{level(before)} → {level(after)}", about))
         if v.shrinks:
-            out.append((f"{percent(v.explained)}", f"of {LIKELIHOOD} is explained, on records not fitted to"))
+            out.append((f"{percent(v.explained)}", f"of {LIKELIHOOD} is explained, on held-out records"))
     else:
         out.append((level(before), about))
     if v.answer in ("NAMED", "CLASS") and v.effects:
-        out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): share of redraws of the records that it wins"))
+        out.append((f"{min(e.p_best for e in v.effects):.2f}", "P(best): share of bootstrap draws that it wins"))
     seconds, effects = sum(r.seconds for r in m.inquiry.records), len(m.inquiry.evidence.model.active.effects)
     out.append((f"{len(m.inquiry.records)}", f"records, {seconds:.0f} s; {effects} effects in question"))
     return out
@@ -80,10 +80,10 @@ def gap(m: ReportData) -> Section:
     shown_rows = {"all": gap_of(m), **m.channels}
     rows: list[dict] = [{"channel": part("strong", "all"), "gap": part("strong", pair(shown_rows["all"]))}]
     rows += [{"channel": k, "gap": pair(both)} for k, both in m.channels.items()]
-    about = "|z|² / m: mean square of measured minus model, whitened by what healthy robots differ from their models by, so that "
-    about += f"they leave about 1 and hardly ever more than {level(m.gates.adequacy)}: up to there model and records agree. "
+    about = "|z|² / m: mean square of measured minus model, whitened by the covariance of healthy robots, so that "
+    about += f"these have about 1, rarely more than {level(m.gates.adequacy)}: up to there model and records agree. "
     if m.comparison.changed:
-        about += "Square: the model as it was. Circle: with what was found. "
+        about += "Square: present model. Circle: with the found effects. "
     about += "Grey: agreement."
     drawn = figure(pictures.gaps(shown_rows, m.comparison.changed, m.gates.adequacy))
     shown = part("beside", drawn, table(rows), "two")
@@ -94,11 +94,11 @@ def warnings(m: ReportData) -> list[str]:
     """Reasons for caution, before anything else is read."""
     notes = list(m.inquiry.verdict.warnings)
     for n in m.inquiry.verdict.tentative if m.inquiry.verdict.taken else ():
-        notes.append(f"{title(n.name)} helped a little too, but could be something else: it is counted in, not named")
+        notes.append(f"{title(n.name)} also helped a little, but may be an error of another effect: it is fitted but not named")
     if m.comparison.changed and not m.inquiry.verdict.shrinks:
-        notes.append(f"What was found {m.inquiry.verdict.told()}")
+        notes.append(f"The found effect {m.inquiry.verdict.told()}")
     shown: list[str] = [part("told", escape_text(n.rstrip(".") + "."), "warn") for n in notes]
-    shown += m.inquiry.notes  # file names: nothing of them is marked up
+    shown += m.inquiry.notes  # escaped, because they contain file names
     shown += [sentence(text) for text in m.inquiry.verdict.unseen()]
     if not m.inquiry.unseen.any():
         shown.append("No record was set aside for a final check: that needs nine records or more.")
@@ -108,15 +108,15 @@ def warnings(m: ReportData) -> list[str]:
 def where(m: ReportData) -> Section:
     """Section on the localisation."""
     p = m.place
-    by_form = "What was found was found by the form of the residual, not by its size." if m.inquiry.verdict.taken else ""
+    by_form = "The effect was found by the form of the residual, not by its size." if m.inquiry.verdict.taken else ""
     text = part("told", escape_text(" ".join(filter(None, (p.text, by_form if nothing(p) else "", m.weighed)))), "place")
     if nothing(p):
         return Section("Where it is", "", [text])
     detail = pictures.details(p, m.comparison.changed)
-    about = "What the residual of the model looks like, before anything is named."
+    about = "The residual of the present model, before any effect is added."
     keys = (
         "Each cell: its share of the gap beyond 1, and its mean z². Every half second counts once."
-        " Grey in the left panel: lags within which a servo's tolerance lies."
+        " Grey in the left panel: lags within a servo's tolerance."
     )
     return Section("Where it is", about, [text, figure(pictures.heat(p)), figure(detail) if detail else "", keys])
 
@@ -124,7 +124,7 @@ def where(m: ReportData) -> Section:
 def trace_section(m: ReportData) -> Section:
     """Section with the traces."""
     use = [used for used, unseen in zip(record_parts(m.inquiry), m.inquiry.unseen, strict=True) if not unseen]
-    about = "The records in which most of the gap lies, one for each channel. The model runs free from the measured start."
+    about = "The records with most of the gap, one for each channel. The model runs freely from the measured start."
     return Section("The records that tell most", about, [figure(traces(m.comparison, use))])
 
 
@@ -133,9 +133,9 @@ def growth(m: ReportData) -> Section:
     if not m.growth:
         return NOTHING
     about = (
-        f"The model is restarted from what was measured, {m.growth[0].restarts} times, and left alone for up to three seconds."
-        " A slope of 0 is there at once (a sensor, a delay, an actuator), 1 grows like a velocity (current), 2 like a force"
-        " (drag, thrust). Grey: what the uncertainty of the start can make by itself."
+        f"The model is restarted from the measured state {m.growth[0].restarts} times, and runs freely for up to three seconds."
+        " Slope 0: present at once (a sensor, a delay, an actuator); 1: grows like a velocity (current); 2: like a force"
+        " (drag, thrust). Grey: error from the uncertainty of the start."
     )
     return Section("How it grows", about, [figure(pictures.growth(m.growth, m.comparison.changed))])
 
@@ -145,11 +145,11 @@ def candidates(m: ReportData) -> Section:
     if not m.rounds:
         return NOTHING
     about = (
-        "The finalists, fitted to all records that decide, the largest P(best) first: the share of bootstrap draws over records"
-        " that an effect wins, all seen in the evidence around the one that was tried. Behind: how much less likely than that one"
-        " it makes the records, each in the evidence around itself, as a share of what that one gains; below zero, likelier."
-        " Values are those of the round; what the head of the page says was fitted once more, with all that was taken."
-        " The map of the first 16 is the cosine between what two of them change, whitened: near 1 these records can hardly tell"
+        "The finalists, fitted to all searched records, by P(best): the share of bootstrap draws over records that an effect"
+        " wins, with the covariance linearised at the tried one. Behind: twice the log likelihood by which it trails the tried"
+        " one, each linearised at itself, as a share of that one's gain; negative if it is likelier."
+        " Values are those of the round; the values at the head of the page were refitted with all accepted effects."
+        " The map shows the cosine between the whitened responses of the first 16: near 1 these records can hardly tell"
         " them apart."
     )
     name = "What came closest" if m.inquiry.verdict.answer == "AGREES" else "What it could be"
@@ -164,13 +164,13 @@ def forces(m: ReportData) -> Section:
     for t in m.inquiry.verdict.terms:
         alike = [part("small", f"or {', '.join(t['alike'][:3])}")] if t["alike"] else []
         row: dict[str, str] = {"term": part("lines", [part("strong", t["name"]), *alike])}
-        row |= {"coefficient": f"{number(t['coefficient'])} {t['unit']}", "takes off": percent(t["closure"])}
+        row |= {"coefficient": f"{number(t['coefficient'])} {t['unit']}", "removes": percent(t["closure"])}
         rows.append(row | {"chosen in": percent(t["stability"]), "": part("tag", "firm" if t["firm"] else "weak")})
     about = (
-        "Forces and torques written as products of what the robot does, the largest gain on records not seen first: a description"
-        " of what is missing, not a name. Takes off: share of the excess of |z|² over chance, against what healthy robots leave,"
+        "Forces and torques as products of the robot's states, the largest gain on unseen records first. They describe what is"
+        " missing but do not name it. Removes: share of the excess |z|² over that of healthy robots,"
         " on the records that it was fitted to. Chosen in: share of half-samples of the records in which a term is among the"
-        " first two. Firm: it passes every doubt."
+        " first two. Firm: it passes every test."
     )
     return Section("As a force", about, [table(rows)])
 
@@ -208,7 +208,7 @@ def invisible(m: ReportData) -> Section:
     """Section on the effects that these records could not show, and with AGREES on the sizes that they could have missed."""
     items = [pages.escaped(f"{title(b.name)} ") + part("small", b.typical) for b in m.blind]
     about = (
-        "At their typical size these would change the records less than a name needs: nothing is said about them. Other"
+        "At their typical size these effects change the records too little to be named, so nothing is known about them. Other"
         " experiments may show them (fishmj gap next)."
     )
     shown: list[str] = [about, part("items", items, "columns")] if items else []
@@ -243,16 +243,16 @@ def escape_text(text: str) -> Markup:
 
 
 CONTRACT = {
-    "AGREES": "Nothing differs beyond what the model leaves open.",
-    "NAMED": "One effect explains it, on records that it was not fitted to.",
-    "CLASS": "It is one of a few; an experiment is proposed that decides.",
-    "UNEXPLAINED": "Something is missing that no effect in question explains for certain.",
+    "AGREES": "The model agrees with the records within its uncertainty.",
+    "NAMED": "One effect explains the gap, on records that it was not fitted to.",
+    "CLASS": "The cause is one of a few effects; the proposed experiment decides.",
+    "UNEXPLAINED": "Something is missing that no effect of the catalogue certainly explains.",
     "NOT_REPEATABLE": "The records differ from each other as much as from the model.",
 }
 
 
 class Gate(NamedTuple):
-    """One row of the table. state: passed, failed, not asked, or not met with the reason why the search went on."""
+    """One row of the table. state: passed, failed, not tested, or not met, with the reason why the search continued."""
 
     name: str
     question: str
@@ -271,11 +271,11 @@ def headline(v: Verdict) -> str:
         found = " and ".join(names)
         if len(v.effects) == 1 and others:  # the likeliest first
             found, *others = dict.fromkeys(title(name) for name, _ in v.standing(v.effects[0]))
-        return f"Missing: {' or '.join([found, *others])}" if others else f"Perhaps {found}, a stand-in"
+        return f"Missing: {' or '.join([found, *others])}" if others else f"Perhaps {found}, or something that it imitates"
     if v.answer == "UNEXPLAINED":
-        return "Something is missing that no effect explains for certain"
+        return "Something is missing that no effect certainly explains"
     if v.answer == "NOT_REPEATABLE":
-        return "The records do not repeat themselves"
+        return "The records are not repeatable"
     return "Model and records agree"
 
 
@@ -292,7 +292,7 @@ def meaning(m: ReportData) -> str:
         tentative = f" Do not add {' and '.join(title(e.name) for e in v.effects)} yet." if v.effects else ""
         return f"{sentence(v.reason)}{tentative}"
     if v.answer == "NOT_REPEATABLE":
-        return f"{sentence(v.reason)} There is nothing to name: turbulence, placing or noise."
+        return f"{sentence(v.reason)} The cause is turbulence, placement or noise, not the model."
     return sentence(v.reason)
 
 
@@ -312,14 +312,14 @@ def next_step(m: ReportData) -> str:
         return "Ask fishmj gap next for the experiment that tells them apart."
     if v.answer == "UNEXPLAINED" and v.terms and v.terms[0]["firm"]:
         first = v.terms[0]
-        share = f"it takes {percent(first['closure'])} of the excess of |z|² off them"
-        return f"Look for what makes a force like this: {first['name']} (below). Fitted to these records {share}."
+        share = f"it removes {percent(first['closure'])} of the excess |z|²"
+        return f"Look for the cause of a force like this: {first['name']} (below). Fitted to these records {share}."
     if v.answer == "UNEXPLAINED":
-        return "Look at where the residual lies (below), and repeat the most telling record to make sure that it repeats."
+        return "Look at where the residual is (below), and repeat the most informative record to test that it is repeatable."
     if v.answer == "NOT_REPEATABLE":
         return "Record more replicates in still water, or find what changes between them."
     if m.blind:
-        return f"Nothing to add. These records would not have shown {len(m.blind)} of the effects in question (listed below)."
+        return f"Nothing to add. These records cannot show {len(m.blind)} of the searched effects (listed below)."
     return "Nothing to add."
 
 
@@ -334,40 +334,40 @@ def separation(known: dict[str, Effect], a: str, b: str) -> str:
 
 
 def gates(m: ReportData) -> list[Gate]:
-    """Every gate with its figure and its threshold; those after the first that stops the search are not asked."""
+    """Every gate with its value and its threshold; gates after the first one that stops the search are not tested."""
     v, g, first = m.inquiry.verdict, m.gates, m.inquiry.found.steps[0] if m.inquiry.found.steps else None
     checks, accepted = v.gates, bool(first and first.accepted)
     had = lambda key: float(checks.get(key, float("nan")))
     p, rivals = min((e.p_best for e in v.effects), default=0.0), len(v.rivals)
-    doubts = 0 if v.answer == "NAMED" else len(v.warnings)  # what is warned of beside a name is no doubt about its value
+    doubts = 0 if v.answer == "NAMED" else len(v.warnings)  # warnings of a NAMED answer do not concern its value
     gained, little = first.gain if first else 0.0, had("rest") <= (1.0 + g.adequacy) / 2
     lead, most = had("lead") if "lead" in checks else 0.0, thresholds().stronger.lead
     # (gate, question, found, needed, whether it holds, why the search goes on where it does not)
     rows = (
-        ("gap", "Is there more than null runs reach?")
+        ("gap", "Is the gap larger than in null runs?")
         + (level(had("adequacy")), f"> {g.adequacy:g}", had("adequacy") > g.adequacy)
         + (ACCEPTED if accepted else "",),
-        ("gain", "Does the best effect make records that did not see it likelier than chance does?")
+        ("gain", "Does the best effect raise the likelihood of unseen records by more than chance?")
         + (number(gained), f"> {g.gain:g}", accepted and gained > g.gain)
         + ("its gain on all records at once is enough" if accepted else "",),
-        ("closure", f"Is most of {LIKELIHOOD} gone, unseen?")
+        ("closure", f"Does it explain most of {LIKELIHOOD} of unseen records?")
         + (percent(had("closure")), f"≥ {percent(g.closure)}", had("closure") >= g.closure)
-        + ("hardly any residual is left" if little else "",),
-        ("rest", "Is what is left within the error of any formula?")
+        + ("the remaining residual is small" if little else "",),
+        ("rest", "Is the rest within the error of a correct formula?")
         + (level(had("rest")), f"≤ {residual_allowed(checks, g):.3g}", had("rest") <= residual_allowed(checks, g), ""),
-        ("form", "Is it right to within what a formula may be wrong?")
+        ("form", "Is its formula accurate enough?")
         + (percent(had("form")), f"≤ {percent(g.form)}", had("form") <= g.form and not misformed(checks))
         + ("" if misformed(checks) else "it may be chance, or only an exact value fits",),
-        ("size", "And in its size, from record to record?")
+        ("size", "Is its size the same in all records?")
         + (percent(had("size")), f"≤ {percent(g.size)}", had("size") <= g.size, ""),
-        ("transfer", "Do the records get likelier one by one, unseen?")
+        ("transfer", "Does the likelihood rise in most unseen records?")
         + (percent(had("transfer")), f"≥ {percent(g.transfer)}", had("transfer") >= g.transfer, ""),
         ("uniqueness", "Is no other effect nearly as good?")
         + (f"P(best) {p:.2f}, rivals {rivals}", f"≥ {g.p_best:g}, none", not rivals and p >= g.p_best, ""),
-        ("sanity", "Are the values believable?") + (f"{doubts} warnings", "none", not doubts, ""),
-        ("force", "Does no free force that is right in its form explain more, unseen?")
+        ("sanity", "Are the values plausible?") + (f"{doubts} warnings", "none", not doubts, ""),
+        ("force", "Does no free force of correct form explain unseen records better?")
         + (number(lead) if "lead" in checks else "-", f"≤ {number(most)}", lead <= most)
-        + ("" if "lead" in checks and is_outdone(checks) else "it is small beside the gain, or wrong in its form",),
+        + ("" if "lead" in checks and is_outdone(checks) else "its lead is small, or its form is wrong",),
     )
     out, asked = [], True
     if v.answer == "NOT_REPEATABLE":
