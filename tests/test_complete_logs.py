@@ -108,7 +108,7 @@ def test_record_that_starts_in_motion_is_refused_unless_its_push_is_stated():
     trial = sim.run(lambda t: 0.5 * np.sin(2 * math.pi * t - np.arange(3)) * min(t, 1.0), 5.0)
     record_of(trial, 0.004)
     late = cut(trial, 4.0)
-    with pytest.raises(LogError, match=r"the fish moves at 0\.\d+ m/s at the first row and no push is stated"):
+    with pytest.raises(LogError, match=r"the fish moves at 0\.\d+ m/s at the first row without a stated push"):
         record_of(late, 0.004)
     record_of(replace(late, meta=late.meta | {"push": [0.3, 0.0, 0.0]}), 0.004)
 

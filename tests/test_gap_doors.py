@@ -304,7 +304,7 @@ def test_meta_data_that_are_no_numbers_are_refused_by_name(meta, says):
 def test_clocks_of_another_zero_are_refused_before_they_fill_the_memory():
     trial = generate({}, ["idle"], 0)[0]
     pose = trial.tables["pose"] | {"t": trial.tables["pose"]["t"] + 1.7e9}
-    with pytest.raises(LogError, match="same zero"):
+    with pytest.raises(LogError, match="same time zero"):
         record_of(Trial(trial.meta, trial.tables | {"pose": pose}, name="a"), 0.004)
 
 

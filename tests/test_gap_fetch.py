@@ -141,7 +141,7 @@ def test_a_body_that_breaks_off_goes_on_where_it_stopped(made_up, server):
 def test_a_broken_line_leaves_only_right_files_and_the_next_run_goes_on(made_up, server):
     path = next(p for p in server.bodies if p.endswith("log%201.csv"))
     server.cut[path] = [3000, 0, 0]
-    with pytest.raises(StoreError, match="3 tries, 3000 bytes are kept; run again"):
+    with pytest.raises(StoreError, match="3 tries; 3000 bytes are kept, and the same command resumes"):
         fetch.fetch("made_up", made_up, server.base)
     assert {p.name for p in made_up.iterdir() if not p.name.startswith(".")} == {"log 0.csv"}  # no manifest: not whole
     server.asked.clear()

@@ -142,7 +142,7 @@ def test_start_of_a_tumbling_body_is_estimated_within_its_error(tmp_path):
 
 # ------------------------------------------------------------------------------------------------------------------- descriptions
 def test_floating_robot_has_coordinates_and_no_tilt_or_friction(quadrotor, model):
-    assert "its tilt, friction of its free joint" in quadrotor.notes[0]
+    assert "its tilt, contacts and the free joint's friction" in quadrotor.notes[0]
     assert quadrotor.channels == COORDINATES and quadrotor.sites("actuator") == ("r1", "r2", "r3", "r4")
     names = {placed.effect.name for placed in model.placed}
     assert names >= {"body_mass", "com_offset", "servo_gain", "thrust_loss", "thruster_lag", "steady_wind", "torque_offset"}

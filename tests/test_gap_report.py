@@ -92,7 +92,7 @@ def test_a_late_camera_is_downstream_of_the_joint(plant):
 
 def test_a_late_joint_sensor_is_at_the_joint(plant):
     p = localise(planted(plant, {"joint_sensor_delay": {"delay": 0.04}}), frozen().adequacy)
-    assert significant(p.lags.joint) and not significant(p.lags.heading) and "own sensor" in p.text
+    assert significant(p.lags.joint) and not significant(p.lags.heading) and "joint's sensor" in p.text
 
 
 def test_a_current_is_fixed_in_the_tank(plant):

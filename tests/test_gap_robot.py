@@ -82,7 +82,7 @@ def test_robot_that_the_search_cannot_take_is_refused_in_one_line(what, tmp_path
 def test_broken_description_is_refused_in_one_line(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text("<mujoco><worldbody><body></mujoco>")
-    with pytest.raises(ConfigError, match="no MJCF or URDF") as told:
+    with pytest.raises(ConfigError, match="cannot compile it as MJCF or URDF") as told:
         read_robot(path)
     assert "\n" not in str(told.value)
 
@@ -466,7 +466,7 @@ def test_commands_of_fish_refuse_a_robot_in_one_line(arm, tmp_path):
     log.write_text("t,pos1,pos2,cmd1,cmd2\n0,0,0,0,0\n0.01,0,0,0,0\n")
     with pytest.raises(ConfigError, match="--water is for fish only"):
         find.main([str(log), "--model", str(arm.path), "--water", "swift"])
-    with pytest.raises(ConfigError, match="--same-robot is of fish"):
+    with pytest.raises(ConfigError, match="--same-robot is for fish only"):
         check.main([str(arm.path), "--data", str(log), "--same-robot"])
     with pytest.raises(LogError, match="--yes"):
         find.main([str(log), "--model", str(arm.path)])

@@ -71,7 +71,7 @@ def test_friction_that_leaves_torques_is_not_named(sticky, share, answer):
     row[e.model.index("coulomb_friction@elbow", "torque")] *= share
     v = require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels)
     assert v.answer == answer and v.effects == sticky.verdict.effects, v.gates["torques"]
-    assert ("is left" in v.reason) == (answer == "UNEXPLAINED")
+    assert ("remains" in v.reason) == (answer == "UNEXPLAINED")
 
 
 def test_a_limiting_form_gives_way_to_the_law_that_it_imitates(folder, arm):

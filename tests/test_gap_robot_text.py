@@ -249,7 +249,7 @@ ANEW = {  # file -> (texts by file name, effect, its values, sentence)
         {"tail.xml": ARM.replace('model="arm"', 'model="arm < leg"')},
         "rotor_inertia@elbow",
         {"inertia": 0.01},
-        "tail.xml is no well-formed XML",
+        "tail.xml is not well-formed XML",
     ),
 }
 

@@ -113,7 +113,7 @@ def test_what_was_weighed_is_said_in_words(plant):
         plant, mass_properties.with_page([record], mass_properties.sensor(page(hides, 5), plant))
     )
     assert (
-        said({}) == "What was weighed agrees (mass, balance point, yaw inertia)."
+        said({}) == "The weighings agree with the model (mass, balance point, yaw inertia)."
         and mass_properties.agreement(plant, [record]) == ""
     )
     assert "yaw inertia is 0.01897 kg m2" in said(TURNS) and "the model's 0.013" in said(TURNS) and "mass" not in said(TURNS)

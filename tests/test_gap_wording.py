@@ -191,7 +191,7 @@ def test_unexplained_denies_no_share_that_it_states(checks):
     )
     sentences = [part for text in said for part in re.split(r"[.;:\n]", text) if re.search("explain|hold|takes away", part)]
     denied = [part for part in sentences if re.search(r"\b(no|not|nothing)\b", part)]
-    assert len(denied) >= 3 and all("for certain" in part or "not fitted to" in part for part in denied), denied
+    assert len(denied) >= 3 and all("certainly" in part or "not fitted to" in part for part in denied), denied
 
 
 @pytest.mark.parametrize("answer", ["AGREES", "NOT_REPEATABLE", "UNEXPLAINED"])

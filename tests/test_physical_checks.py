@@ -347,7 +347,7 @@ def test_a_recording_under_two_names_is_compared_once(tmp_path):
     measured = replace(turning(), meta={"origin": "measured", "robot": "swift"})
     found = readable_trials(saved(tmp_path / "data", measured, replace(measured, name="copy")))
     (left,) = found.broken.values()
-    assert len(found.trials) == 1 and "to the last digit: one recording under two names" in left
+    assert len(found.trials) == 1 and "exactly the readings of" in left
 
 
 # The four doors.

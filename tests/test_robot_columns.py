@@ -93,13 +93,13 @@ def test_log_under_two_names_is_read_once(tmp_path):
         (tmp_path / name).write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{k / 100},{k / 30},0.2,1,2\n" for k in range(30)))
     columns = guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True)
     trials, broken = read_robot_logs(sorted(tmp_path.glob("*.csv")), columns)
-    assert [trial.name for trial in trials] == ["a"] and "has the readings of a to the last digit" in broken["b.csv"]
+    assert [trial.name for trial in trials] == ["a"] and "has exactly the readings of a" in broken["b.csv"]
 
 
 def test_stamps_that_go_back_are_named_with_their_row(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("t,q1,q2,tau1,tau2\n" + "".join(f"{k % 20 / 100},0.1,0.2,1,2\n" for k in range(30)))
-    with pytest.raises(LogError, match="do not rise: 0 s after 0.19 s, row 21; .* where the clock begins again"):
+    with pytest.raises(LogError, match="do not increase: 0 s after 0.19 s, row 21; .* where the clock restarts"):
         read_robot_logs([log], guess_columns("t q1 q2 tau1 tau2".split(), ("s", "e"), ("s", "e"), torques=True))
 
 

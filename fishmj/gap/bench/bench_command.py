@@ -1,4 +1,4 @@
-"""`gap bench`: how often the search is right, wrong or silent on data whose answer it does not know.
+"""`gap bench`: blind benchmark of the search; counts right, wrong and missing answers.
 
 fishmj gap bench --cases 40 --small --jobs 0 --out bench
 
@@ -61,22 +61,22 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     many = f"how many, 1 to {MOST} (default {CASES}; of families {family_command.CASES}, {family_command.FEW} with --small)"
     add("--cases", type=console.whole(1, MOST), metavar="N", help=many)
-    gap_options.of_seed(add, "draws everything anew: effects, sizes, fish, noise")
+    gap_options.of_seed(add, "seed of all random choices: effects, sizes, fish, noise")
     kinds = f"only {', '.join(cases.KINDS)} (default all, in their shares)"
     add("--kinds", type=_kinds, default=dict(cases.KINDS), metavar="KIND,..", help=kinds)
-    hiding = "only cases in which one of these effects is hidden, of those dealt; the others stay as they are (default all)"
+    hiding = "only the drawn cases in which one of these effects is hidden (default all)"
     add("--effects", type=_effects, default=None, metavar="NAME,..", help=hiding)
     listed = console.Listed(console.OneOf(GENERATORS))
     add("--generator", type=listed, default=["second"], metavar="NAME,..", help=f"{GENERATED} (default second)")
     add("--model", type=console.text, default="fish", help="--generator second: the robot, name or TOML file (default fish)")
-    add("--small", action="store_true", help="half a session, usual noise: a case takes seconds; of families 4 logs a case")
-    session = f"of families: logs of a case, 4 to 12 (default {family_command.LOGS}, {family_command.SHORT} with --small)"
+    add("--small", action="store_true", help="half a session with usual noise, seconds per case; for families 4 logs per case")
+    session = f"for families: logs per case, 4 to 12 (default {family_command.LOGS}, {family_command.SHORT} with --small)"
     add("--logs", type=console.whole(4, 12), metavar="N", help=session)
     times = ", ".join(f"{t:g}" for t in power.TIMES)
     strengths = f"of families: each effect (or --effects) at {times} times what healthy robots differ by, as a table of power"
     add("--power", action="store_true", help=f"{strengths} ({power.CASES} cases by default)")
-    add("--uncalibrated", action="store_true", help="of families: question the description as it is")
-    add("--strict", action="store_true", help="of families: exit 1 below the aims with --small, --shard or --effects, too")
+    add("--uncalibrated", action="store_true", help="for families: search the uncalibrated description")
+    add("--strict", action="store_true", help="for families: exit 1 below the aims also with --small, --shard or --effects")
     sets = "of --generator solver: folder that python -m studies.solver_family made; of robots: folder of data sets"
     add("--sets", type=console.path, metavar="DIR", help=f"{sets} (default OUT/sets)")
     making = f"of --generator robots: make the data sets of {robot_bench.ALL}, or of some, and stop (default: judge them, too)"
@@ -86,19 +86,17 @@ def main(argv: list[str]) -> int:
     more = ", ".join(robot_cases.MORE)
     shares = f"of --generator robots: only {', '.join(robot_cases.FAMILIES)} (default all, in their shares), or {more}"
     add("--robots", type=robots, default=list(robot_cases.FAMILIES), metavar="NAME,..", help=shares)
-    scoring = (
-        "score what runs of --generator families or robots kept in these folders, all together; search nothing (default none)"
-    )
+    scoring = "only score the rows that runs of --generator families or robots wrote into these folders (default none)"
     add("--score", nargs="+", type=console.path, metavar="DIR", help=scoring)
-    add("--weighed", action="store_true", help="every set comes with a page of weighings: mass, balance point, yaw inertia")
-    shard = "every N-th case from the I-th, I from 0: for several machines (default 0/1)"
+    add("--weighed", action="store_true", help="give every set measurements.toml with mass, balance point and yaw inertia")
+    shard = "run every N-th case from the I-th, I from 0, to use several machines (default 0/1)"
     add("--shard", type=shard_of, default=(0, 1), metavar="I/N", help=shard)
     many = f"processes side by side, a core each, to {MOST_JOBS}; 0: one for every core (default 1)"
     add("--jobs", type=console.whole(0, MOST_JOBS), default=1, metavar="N", help=many)
     out = "folder for rows.jsonl and score.json; the same command continues where it stopped (default none)"
     add("--out", type=console.out_folder, help=out)
-    add("--baselines", action="store_true", help="four usual methods on the same cases, in one table")
-    add("--yes", action="store_true", help="begin also what takes longer than a week")
+    add("--baselines", action="store_true", help="also run four usual methods on the same cases, in one table")
+    add("--yes", action="store_true", help="accept runs of more than a week")
     args = parser.parse_args(argv)
     if args.score:
         in_mjcf = all(robot_bench.has_rows(folder) for folder in args.score)

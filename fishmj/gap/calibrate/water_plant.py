@@ -70,7 +70,7 @@ def physical(ch: planar_chain.Chain, sw: planar_chain.Swimmer) -> dict[str, np.n
 
     k = planar_chain.kinematics(np, ch, rest, rest, still)
     added = planar_chain.mass_matrix(ch, sw, k, rigid=False)
-    # all links turn with the head of a rigid fish: its yaw inertia is the sum over their rates
+    # all links of a rigid fish turn with the head: its yaw inertia is the sum over their rates
     yaw = sum(added[max(r, c)][min(r, c)] for r in range(2, size) for c in range(2, size))
     made = {"drag": braked(0, SPEED), "side_drag": braked(1, SPEED), "yaw_drag": braked(2, RATE)}
     made |= {"thrust": carried_thrust(ch, sw), "sway_mass": added[1][1], "yaw_mass": yaw}

@@ -1,6 +1,6 @@
-"""Terms outside the catalogue that would improve many fits: a named effect must beat them.
+"""Decoy terms outside the catalogue that improve many fits: a named effect must beat them.
 
-In a short list it is easy to be first. These terms stand beside the catalogue in a search of measured data, in the same form.
+In a short list of candidates one easily comes first by chance. A search of measured data therefore includes these terms.
 """
 
 from collections.abc import Callable
@@ -16,9 +16,9 @@ def _rival(name: str, formula: str, unit: str, size: float, act: Callable, signe
     return Effect(
         name=name,
         stage="hydrodynamics",
-        about="stands beside the catalogue when measured data are searched",
+        about="an alternative to the catalogue in searches of measured data",
         formula=formula,
-        source="none: a term that fits much and explains little",
+        source="none: a term that fits many data sets and explains little",
         parameters=(Parameter(name="coefficient", unit=unit, low=low, high=50 * size, typical=(0.2 * size, size)),),
         shows=("position", "heading"),
         body=lambda xp, p, b, memory, h: (b._replace(**act(xp, b, p.coefficient)), memory),

@@ -1,4 +1,4 @@
-"""Downloads one file over HTTP: resumes after a break, gives up after three, returns nothing with a wrong hash."""
+"""Downloads one file over HTTP: resumes after an interruption, gives up after three, never returns a file with a wrong hash."""
 
 import hashlib
 import http.client
@@ -63,10 +63,10 @@ def download(url: str, folder: Path, key: str, sha256: str | None, limit: int) -
         if sha256 is None or got == sha256:
             return body
         trouble = f"expected sha256 {sha256}, got {got} ({len(body)} bytes)"
-        if not resumed:  # a whole body with a wrong sum is what the server has; a pieced one may mix two states
+        if not resumed:  # a complete download with a wrong hash is the server's file; a resumed one may mix two versions
             raise StoreError(f"{url}: {trouble}; the file was changed at its source or on the way, and is not used")
     there = part.stat().st_size if part.is_file() else 0
-    raise StoreError(f"{url}: {trouble}; {TRIES} tries, {there} bytes are kept; run again, it goes on from there")
+    raise StoreError(f"{url}: {trouble}; {TRIES} tries; {there} bytes are kept, and the same command resumes")
 
 
 def _receive(url: str, part: Path, limit: int) -> None:

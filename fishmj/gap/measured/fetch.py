@@ -184,7 +184,7 @@ def _licence(wanted: PublicSet, base: str, out: Path) -> list[str]:
 
 def main(argv: list[str]) -> int:
     """The command `gap fetch NAME [--out FOLDER] [--base-url URL] [--json]`. Returns the exit code."""
-    parser = console.parser("gap fetch", "Get a public data set from its source, every file checked.")
+    parser = console.parser("gap fetch", "Download a public data set from its source and check every file.")
     parser.add_argument("name", help=", ".join(names()))
     parser.add_argument("--out", type=console.out_folder, help="folder to write (default ./NAME)")
     parser.add_argument("--base-url", metavar="URL", help="a mirror with the same paths (default the public source)")

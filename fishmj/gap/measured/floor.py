@@ -1,11 +1,11 @@
-"""Replacement for the empirical null if nothing can simulate the robot: the scatter of records of one condition.
+"""Replaces the empirical null if no simulator exists for the robot: by the scatter between records of one condition.
 
     r_gi = b_g + e_gi                    residual of the baseline, group g (a condition, a gain), i within it
     S    = D + sum_g t^2 1_g 1_g^T       D = var e, t^2 = var b, both for each sensor's column: one-way analysis of variance
     z    = S^-1/2 r
 
-A model with a constant error in one condition is wrong once, not once a row: S weights each group about by its
-independent share. It gives no adequacy, since the scatter also holds the missing effect; that takes replicates.
+A constant error of the model in one condition counts once, not once per row: S gives each group about its independent weight. It
+gives no adequacy, since the scatter includes the missing effect; that needs replicates.
 """
 
 import numpy as np

@@ -28,10 +28,10 @@ EXAMPLES = """examples:
   fishmj gap measured --study my.toml --out report      search; report.html, report.json
   fishmj gap measured tail_fish --leave-one-out         a study that comes with fishmj
 
-exit codes: 0 an answer, 2 bad input (one line says what, where, got, expected), 3 too few groups to tell
+exit codes: 0 an answer, 2 bad input (one line says what, where, got, expected), 3 too few groups to decide
 
-A group is what varies between experiments: a day, a setting, an amplitude, a run. Records of one group are never on both sides.
-With n groups the smallest p that any test can say is 1/2^n; with fewer than five there is no verdict, only what is tentative."""
+A group is a condition of the experiment: a day, a setting, an amplitude, a run. Records of one group are never split between fit
+and test. With n groups the smallest possible p is 1/2^n; with fewer than five groups all results are tentative."""
 
 
 def main(argv: list[str]) -> int:
@@ -39,14 +39,14 @@ def main(argv: list[str]) -> int:
     parser = console.parser("gap measured", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
     add("name", nargs="?", help=f"{', '.join(SETS)}, or all; FISHMJ_MEASURED names the folder that holds them")
-    add("--study", type=console.path, metavar="FILE", help="a study of your own (TOML), such as --new writes (default none)")
+    add("--study", type=console.path, metavar="FILE", help="your study file (TOML), such as --new writes (default none)")
     add("--new", type=console.out_file, metavar="FILE", help="write a commented template and stop (default no)")
-    add("--plant", choices=PLANTS, help="of --new: body (fish, boat, ROV), servo, coast (a coast-down); no default")
+    add("--plant", choices=PLANTS, help="for --new: body (fish, boat, ROV), servo, coast (a coast-down); no default")
     add("--out", type=console.out_folder, metavar="FOLDER", help="folder for report.html and report.json (default none)")
-    add("--seed", type=console.SEED, help="of what is drawn: groups kept aside, folds (default as the study says)")
+    add("--seed", type=console.SEED, help="seed for groups set aside and for folds (default as in the study)")
     by = "names as in a study's [groups] by, such as rig.trajectory (default as the study says)"
     add("--groups", type=console.Listed(console.text, 6), metavar="NAME,..", help=by)
-    once = "leave every group out in turn and keep none aside: what these records say of conditions that were not seen"
+    once = "leave out every group in turn and set none aside: estimates the error in unseen conditions"
     add("--leave-one-out", action="store_true", help=once)
     args = parser.parse_args(argv)
     asked = [x for x in (args.name, args.study, args.new) if x is not None]
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
     if args.new is not None:
         return new(args.new, args.plant, args.json)
     if args.plant:
-        raise UsageError("gap measured: --plant goes with --new; a study says its plant in the file")
+        raise UsageError("gap measured: --plant goes with --new; a study names its plant in the file")
     if args.study is not None:
         words, figures, code = run(changed(read_study(args.study), args), args.out)
         console.say(words)
@@ -141,7 +141,7 @@ def new(path: Path, plant: str | None, as_json: bool) -> int:
     if plant is None:
         raise UsageError(f"gap measured --new: got no --plant, expected one of {', '.join(PLANTS)}")
     if path.exists():
-        raise ConfigError(f"{path}: is there already; name another file, or remove it first")
+        raise ConfigError(f"{path}: exists; name another file, or remove it first")
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, (TEMPLATES / f"{plant}.toml").read_text(encoding="utf-8"))
     console.say(f"written: {path}; fill it in, then fishmj gap measured --study {shlex.quote(str(path))} --out report")

@@ -14,12 +14,12 @@ from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import level, number, percent, quantity, sizes, title
 
 MEANING = {
-    "NAMED": "One term lowers the error of groups that it was not fitted to, and no other does it as well.",
+    "NAMED": "One term lowers the error of held-out groups, and no other does so as well.",
     "CLASS": "Something is missing, and these records cannot tell which of the listed terms it is.",
-    "UNEXPLAINED": "The model misses something that no term in question explains for certain.",
-    "AGREES": "The model is as close as the sensors' noise lets one see.",
+    "UNEXPLAINED": "The model lacks something that no candidate term certainly explains.",
+    "AGREES": "The model agrees with the records within the sensors' noise.",
     "NOT_REPEATABLE": "The records differ from each other as much as from the model.",
-    TOO_FEW: "Too few groups to tell: what is listed is a lead for the next experiment, not a finding.",
+    TOO_FEW: "Too few groups to decide: the listed terms are hypotheses for the next experiment, not findings.",
 }
 SHOWN = 40  # groups in the picture
 
@@ -45,7 +45,7 @@ def answer(study: Study, v: Verdict) -> Section:
         for k, p in e.parameters.items()
     ]
     found = [f"{tentative}{sizes(e.name, e.parameters)}" for e in v.effects]
-    rivals = [f"could be meant instead: {', '.join(title(r['name']) for r in v.rivals)}"] if v.rivals else []
+    rivals = [f"possible instead: {', '.join(title(r['name']) for r in v.rivals)}"] if v.rivals else []
     gap = f"gap {level(v.gap_before)} to {level(v.gap_after)} {where(study)}, in units of the floor; 1 is agreement"
     gap += f" (floor: {study.floor_of})"
     warned = [part("told", w, "warn") for w in v.warnings]
@@ -109,12 +109,12 @@ def sure(study: Study) -> Section:
     """Section on the certainty that so many groups allow."""
     n = len(study.groups)
     items = [
-        f"{n} groups in {len(set(study.fold))} folds: the smallest p that a test over them can say is {smallest_p(n):.2g}",
-        f"With fewer than {LEAST_GROUPS} groups there is no verdict; words follow the weaker of bootstrap and exact test",
-        f"Of conditions that are not among these {n} groups, the table above is all that these records say",
-        "Folds share most of their records, so that groups are not quite independent: p is somewhat too small",
+        f"{n} groups in {len(set(study.fold))} folds: the smallest possible p of a test over them is {smallest_p(n):.2g}",
+        f"With fewer than {LEAST_GROUPS} groups there is no verdict; the answer follows the weaker of bootstrap and exact test",
+        f"For conditions outside these {n} groups, the table above is the only evidence",
+        "Folds share most of their records, so groups are not quite independent and p is somewhat too small",
     ]
-    return Section("How sure this many groups can make", "", [part("items", items)])
+    return Section("Significance with this many groups", "", [part("items", items)])
 
 
 def others(figures: dict) -> Section:

@@ -1,7 +1,7 @@
-"""Certainty from a few groups: an exact test beside the bootstrap, and intervals that account for their number.
+"""Significance from a few groups: an exact test in addition to the bootstrap, and intervals that account for their number.
 
-A Bayesian bootstrap of four groups that all get better gives P = 1.00 in any case; an exact test gives p = 1/16. The words
-follow the weaker of the two.
+If four groups all improve, a Bayesian bootstrap gives P = 1.00, but an exact test p = 1/16. The answer follows the weaker of
+both.
 """
 
 import numpy as np

@@ -75,23 +75,23 @@ def answer_and_reason(study: Study, found: StudyOutcome, rivals, warnings) -> tu
     before, after = ends(study, found)
     closed, n = likelihood.closure(before, after, study.floor), len(study.groups)
     if n < LEAST_GROUPS:
-        why = f"{n} groups, at least {LEAST_GROUPS} are needed: no test over {n} can say less than p = {smallest_p(n):.2g}"
-        return TOO_FEW, f"too few groups to tell: {why}; what is listed is tentative"
+        why = f"{n} groups, at least {LEAST_GROUPS} are needed: the smallest possible p of {n} is {smallest_p(n):.2g}"
+        return TOO_FEW, f"too few groups to decide: {why}; the listed terms are tentative"
     if before <= RATIO * study.floor:
         return ("NOT_REPEATABLE" if study.replicates else "AGREES"), f"the error is that of {study.floor_of}"
     if not any(r.accepted for r in found.rounds):
-        return "UNEXPLAINED", "no candidate lowers the error on groups that were left out; the best is tentative"
+        return "UNEXPLAINED", "no candidate lowers the error on held-out groups; the best is tentative"
     if closed < CLOSURE:
-        why = f"{closed:.0%} of what lies above {study.floor_of} is gone {where(study)}; the names are tentative"
+        why = f"{closed:.0%} of the error above {study.floor_of} is explained {where(study)}; the names are tentative"
         return "UNEXPLAINED", why
     if after > LEFT * study.floor:
-        why = f"{study.said(after)} are left where {study.floor_of} is {study.said(study.floor)}; the names are tentative"
+        why = f"{study.said(after)} remain, but {study.floor_of} is {study.said(study.floor)}; the names are tentative"
         return "UNEXPLAINED", why
     if rivals or any(w.startswith("folds") for w in warnings):
-        return "CLASS", "these records cannot tell the effects apart that are listed"
+        return "CLASS", "these records cannot tell the listed effects apart"
     if warnings:
-        return "CLASS", "one effect fits best, but what it came out at is not believable: a stand-in"
-    return "NAMED", f"the same effect wins in every fold, and over {n} groups that were left out"
+        return "CLASS", "one effect fits best, but its value is implausible: it may imitate something else"
+    return "NAMED", f"the same effect wins in every fold, and over {n} held-out groups"
 
 
 def share(found: StudyOutcome, i: int) -> float:
@@ -131,7 +131,7 @@ def own_cost(r: SelectionRound) -> float:
 
 
 def doubts(study: Study, r: SelectionRound, effects: tuple[NamedEffect, ...]) -> list[str]:
-    """Doubts that a reader should know before believing a round."""
+    """Warnings about a round."""
     name = r.fitted.names[-1]
     asked: Any = SimpleNamespace(model=study.plant)
     out = list(sanity(asked, r.fitted, next(e for e in effects if e.name == name)))
@@ -235,7 +235,7 @@ def unseen_text(study: Study, found: StudyOutcome) -> str:
     return (
         f"each of {u['groups']} groups predicted by a fold without it: {u['ratio']:.2f} of the baseline's error"
         f" ({u['low']:.2f} to {u['high']:.2f}, 90 % over groups), better in {u['better']} of {u['groups']};"
-        f" of other conditions these {u['groups']} say no more"
+        f" conditions outside these {u['groups']} were not tested"
     )
 
 

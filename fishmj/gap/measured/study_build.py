@@ -26,7 +26,7 @@ from fishmj.gap.models.swimming_fish import Constant
 from fishmj.log.limits import bare, quoted
 
 SHIPPED = Path(__file__).resolve().parent / "shipped"
-FAR = 1e4  # mean square of the nominal model's error over that of what was measured: no guess is so far off
+FAR = 1e4  # largest ratio of the nominal model's mean square error to the measured mean square
 MASS, INERTIA, STALL = 0.725, 2.66e-3, 0.7  # kg, kg m2, N m: fish and servo of the sizes in the catalogue
 TURN = 0.3  # prior of a constant, as a share of it
 
@@ -62,8 +62,8 @@ def split(study: StudyInput, logs: Sequence[Log], records: Sequence[Any]) -> tup
     many = f"{study.where}: {len(records)} records"
     if len(groups) < 2:
         raise LogError(
-            f"{many} of one group ({bare(groups[0])}), expected two at least: one judges what was fitted to the others. "
-            'Record another condition, or let [groups] by tell the runs apart, such as by = ["file"]'
+            f"{many} of one group ({bare(groups[0])}), expected two at least: one validates the fit to the others. "
+            'Record another condition, or let [groups] by distinguish the runs, such as by = ["file"]'
         )
     order = [groups[i] for i in np.random.default_rng(study.given.search.seed).permutation(len(groups))]
     if held.aside > len(groups) - 2:
@@ -104,7 +104,7 @@ def _terms(study: StudyInput, mass: float, length: float = 1.0) -> list[Effect]:
     chosen = [e for e in every if (c.only is None or e.name in c.only) and (c.rivals or e.name not in rivals)]
     chosen = [e for e in chosen if e.name not in c.leave_out]
     if len(chosen) < 2:
-        raise LogError(f"{study.where} [candidates]: {len(chosen)} left, expected two at least; a term has to beat another")
+        raise LogError(f"{study.where} [candidates]: {len(chosen)} left, expected two at least, so that terms can be compared")
     return sized(chosen, mass, length)
 
 
@@ -137,7 +137,7 @@ def _study(study: StudyInput, logs, records, plant, **more: Any) -> Study:
     with np.errstate(all="ignore"):
         off = ready.error(learn, plant.null) / _size(ready)
     if not off < FAR:
-        times = f"{np.sqrt(off):.3g} times what was measured (rms)" if np.isfinite(off) else "beyond all numbers"
+        times = f"{np.sqrt(off):.3g} times the measured motion (rms)" if np.isfinite(off) else "infinite"
         raise LogError(
             f"{study.where} [nominal]: the guessed model's error is {times}, expected a guess right within a factor of ten; "
             "look for a unit in [columns] or [nominal], or a step too long for so light a body"

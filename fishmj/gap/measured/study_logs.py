@@ -82,7 +82,7 @@ def _inside(study: StudyInput) -> Path:
     given = Path(str(study.given.data.folder)).expanduser()
     folder = given if given.is_absolute() else study.folder / given
     if not folder.is_dir():
-        raise LogError(f"{study.where} [data] folder: {shown_path(folder)}: no such folder; folders are told from the file")
+        raise LogError(f"{study.where} [data] folder: {shown_path(folder)}: no such folder; paths are relative to the study file")
     return folder
 
 
@@ -92,11 +92,9 @@ def _files(study: StudyInput, folder: Path) -> list[Path]:
     every = (p for p in folder.rglob("*") if not p.is_symlink() and p.is_file() and not p.name.startswith("."))
     found = sorted(p for p in every if fnmatchcase(p.name, pattern) or fnmatchcase(p.relative_to(folder).as_posix(), pattern))
     if not found:
-        raise LogError(f"{study.where} [data] files: {quoted(pattern)} is the name of no file in {shown_path(folder)}")
+        raise LogError(f"{study.where} [data] files: {quoted(pattern)} matches no file in {shown_path(folder)}")
     if len(found) > MOST:
-        raise LogError(
-            f"{study.where} [data] files: {quoted(pattern)} is the name of {len(found)} files, expected at most {MOST}"
-        )
+        raise LogError(f"{study.where} [data] files: {quoted(pattern)} matches {len(found)} files, expected at most {MOST}")
     return found
 
 
@@ -122,7 +120,7 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
     if good.sum() < LEAST_ROWS or bad > BLANK * len(t):
         raise LogError(
             f"{where}: {bad} of {len(t)} rows lack a number in a column that the study reads; "
-            f"expected {LEAST_ROWS} whole rows at least and at most {BLANK:.0%} with blanks. Mend the file or leave it out"
+            f"expected {LEAST_ROWS} whole rows at least and at most {BLANK:.0%} with blanks. Correct the file or leave it out"
         )
     rules = COLUMNS[study.given.plant]
     for key, values in columns.items():
@@ -167,7 +165,7 @@ def _rising(sheet: Sheet, rows: np.ndarray, t: np.ndarray, column: str) -> None:
         i, j = rows[back[0]], rows[back[0] + 1]
         raise LogError(
             f"{sheet.place(int(j), column)}: time does not rise: {t[j]:.9g} s after {t[i]:.9g} s; "
-            "sort the rows, leave out what stands twice, or split the file where the clock was set"
+            "sort the rows, remove duplicates, or split the file where the clock was set"
         )
 
 
@@ -187,7 +185,7 @@ def _parts(study: StudyInput, name: str) -> dict[str, str | float]:
     pieces = re.split(r"\{([A-Za-z][A-Za-z0-9_]{0,31})\}", template)
     rest, out = name if "/" in template else name.rpartition("/")[2], {}
     wrong = LogError(
-        f"{study.where} [data] names: {quoted(template)} does not fit the file {quoted(name)}; rename it or mend names"
+        f"{study.where} [data] names: {quoted(template)} does not fit the file {quoted(name)}; rename it or correct names"
     )
     if not rest.startswith(pieces[0]):
         raise wrong
@@ -232,7 +230,7 @@ def log_value(log: Log, key: str) -> str | float:
     if not isinstance(value, str | float) or not np.isfinite(value if isinstance(value, float) else 0.0):
         known = [*log.told, *([] if log.trial is None else (k for k, v in log.trial.meta.items() if isinstance(v, str)))]
         what = "a key of its meta data" if log.trial is not None else "a part of data.names or a column that does not change"
-        raise LogError(f"{log.where}: says nothing of {quoted(key)}; expected {what}. It says {', '.join(map(bare, known))}")
+        raise LogError(f"{log.where}: has no {quoted(key)}; expected {what}. It has {', '.join(map(bare, known))}")
     return value
 
 

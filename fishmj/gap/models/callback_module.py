@@ -1,4 +1,4 @@
-"""The effects of a robot that no field of MJCF holds, as a Python module beside its description: readable, and without fishmj."""
+"""Writes effects that no field of MJCF holds into a readable Python module beside the description, which runs without fishmj."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple

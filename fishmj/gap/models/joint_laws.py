@@ -1,14 +1,14 @@
-"""Laws of a robot's joints that no field of MuJoCo holds, as machine code that MuJoCo calls at each step.
+"""Joint laws that no field of MuJoCo holds, as machine code that MuJoCo calls at each step.
 
     mjcb_passive -> law of each effect at each joint (fishmj/effects, `RobotForm.law`)
                  -> qfrc_passive += torque;  efc_frictionloss += limit of dry friction
 
-The laws' text is compiled by numba into a C function, so rollouts keep all their threads and cost what they cost without it. A
-callback in Python would need the interpreter's lock. The limit of friction changes after the constraints are made and
-before they are solved: MuJoCo's own implicit dry friction sticks under it. Its solver must not copy them, so islands are off.
+numba compiles the laws into a C function, so rollouts keep all their threads and cost no more. A callback in Python would need
+the interpreter's lock. The friction limit changes after the constraints are made and before they are solved, so MuJoCo's own
+implicit dry friction uses it. The solver must not copy the constraints, so islands are off.
 
-What the function needs of a model is in `jnt_user`, a row of WIDTH numbers for each joint; its memory is in `userdata`. mjModel
-and mjData are C structures of each version's own layout; `_offset` finds the place of an array in them by its address.
+The function reads its parameters from `jnt_user`, WIDTH numbers for each joint; its memory is in `userdata`. The layout of the C
+structures mjModel and mjData depends on the version; `_offset` finds an array in them by its address.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.effects.effect import LAW_MATH
 from fishmj.engines import numba_build
 
-LEAST_FRICTION = 1e-6  # N m: without any, MuJoCo makes no constraint whose limit could be changed
+LEAST_FRICTION = 1e-6  # N m: without friction MuJoCo makes no constraint, and there is no limit to change
 MEMORY = 4  # numbers of each law at each joint
 FIXED = (
     *("joints", "active", "dof", "place", "actuator", "row", "gain0", "gain1", "gain2", "bias0", "bias1", "bias2", "gear"),
@@ -109,7 +109,7 @@ def text_of(name: str, function: Any) -> str:
 
 
 def drive_of(m: Any, actuator: int, joint: int) -> dict[str, float] | None:
-    """Columns that say the torque of a joint's actuator; None if it is not affine in command, position and rate."""
+    """Columns that define the torque of a joint's actuator; None if it is not affine in command, position and rate."""
     wide = (-np.inf, np.inf)
     out = dict(zip(("drive_low", "drive_high"), m.jnt_actfrcrange[joint] if m.jnt_actfrclimited[joint] else wide, strict=True))
     if actuator < 0:
@@ -129,7 +129,7 @@ def drive_of(m: Any, actuator: int, joint: int) -> dict[str, float] | None:
 
 
 def limit_of(m: Any, actuator: int, joint: int, otherwise: float) -> float:
-    """Torque of a joint's actuator at rest, N m, as far as the description states it; else `otherwise`."""
+    """Stall torque of a joint's actuator, N m, if the description states it; else `otherwise`."""
     stated = []
     if actuator >= 0:
         gear, bias = abs(m.actuator_gear[actuator, 0]), m.actuator_biasprm[actuator, 1:3]
@@ -162,13 +162,13 @@ def write(m: Any, joints: Sequence[Any], present: dict[str, dict[str, tuple[floa
                 row[first : first + len(values)] = values
     ready(m, [joint.dof for joint in joints if joint.name in present])
     for joint in joints:
-        before = np.count_nonzero(m.dof_frictionloss[: joint.dof] > 0.0)  # a constraint each, in their order
+        before = np.count_nonzero(m.dof_frictionloss[: joint.dof] > 0.0)  # one constraint each, in this order
         m.jnt_user[joint.joint, FIXED.index("row")] = before
     m.jnt_user[:, FIXED.index("joints")] = m.njnt  # the first row is read, that of a free base if there is one
 
 
 def ready(m: Any, dofs: Sequence[int]) -> None:
-    """Sets what laws need of MuJoCo: a constraint of dry friction at their joints, solved where it was made."""
+    """Prepares MuJoCo for laws: a constraint of dry friction at their joints, solved in place."""
     off = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
     m.opt.disableflags = m.opt.disableflags & ~int(off) | int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     for dof in dofs:
@@ -177,7 +177,7 @@ def ready(m: Any, dofs: Sequence[int]) -> None:
 
 @contextmanager
 def acting(wanted: bool) -> Iterator[None]:
-    """MuJoCo calls the laws inside the block, of models whose jnt_user this module wrote. No other thread may step another."""
+    """Context in which MuJoCo calls the laws, for models with this module's jnt_user. No other thread may step another model."""
     if not wanted:
         yield
         return
@@ -191,7 +191,7 @@ def acting(wanted: bool) -> Iterator[None]:
 
 @contextmanager
 def no_warnings() -> Iterator[None]:
-    """MuJoCo neither prints that a trial diverged nor writes MUJOCO_LOG.TXT: such a trial is refused by its numbers."""
+    """Context without MuJoCo's warnings and MUJOCO_LOG.TXT about diverged rollouts, which the caller detects itself."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda text: None)
     try:
@@ -201,7 +201,7 @@ def no_warnings() -> Iterator[None]:
 
 
 def acting_text() -> str:
-    """Text of the laws as numba functions, and of `act`: what all laws of a joint add to its torque, and to its dry friction.
+    """Source of the laws as numba functions, and of `act`, which sums their torques and dry friction limits at a joint.
 
     act(p, q, w, drive, time, memory): p: the joint's row of jnt_user; drive: torque of its actuator, N m.
     """
@@ -255,5 +255,5 @@ def _offset(owner: Any, word: int) -> int:
         if ctypes.c_int64.from_address(owner._address + at).value == word:
             return at
     raise ConfigError(
-        f"MuJoCo {mujoco.__version__}: no place of an array in {type(owner).__name__}; take the version of pyproject.toml"
+        f"MuJoCo {mujoco.__version__}: array not found in {type(owner).__name__}; install the MuJoCo version of pyproject.toml"
     )

@@ -1,14 +1,14 @@
-"""Many rollouts of one model at once, as machine code: most of the search's time.
+"""Compiled rollouts of a model in batches, where a search spends most of its time.
 
 A model is one step of physics written in components. It is traced to straight-line code (`engines.codegen`) and
-compiled by numba; LANES rollouts go through each vector loop, blocks of them are shared between two threads.
+compiled by numba; each vector loop does LANES rollouts, and two threads share the blocks.
 
     rows r    log which[r], start state, parameters, transport delay of the commands in steps
     step k    input = command sequence of the log at k - delay (between two steps: linear), state = step(state, input, parameters)
     output    `watched` values every `stride` steps, and at the start
 
 Between samples a rollout is the cubic through values and rates (`hermite`), or linear if only values are known (`linear`).
-Half of a search is interpolation at stamps, so those loops are compiled, too.
+Half of a search's time is interpolation at stamps, so those loops are compiled too.
 """
 
 import re
@@ -45,7 +45,7 @@ ROLL = void(
     int64, int64, given(1, int64), given(3), given(1, int64), given(2), given(2), given(1), int64, types.Array(item, 3, "C")
 )
 '''
-CHUNK = 2  # blocks of LANES rollouts a thread must have
+CHUNK = 2  # least number of blocks of LANES rollouts per thread
 
 
 class Kernel:

@@ -16,7 +16,7 @@ def load(w, base, values, block):
 
 
 def feed(w, which, inputs, lengths, delay, block, k):
-    """The commands that each lane's servo meets at step k."""
+    """Commands that reach each lane's servo at step k."""
     last = which.shape[0] - 1
     for i in range(LANES):
         r = min(block + i, last)

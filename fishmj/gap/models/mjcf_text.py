@@ -1,10 +1,10 @@
-"""The text of an MJCF as its author wrote it: attributes change at their place, every other byte stays.
+"""Edits attributes in the author's text of an MJCF and leaves every other byte unchanged.
 
     text = MjcfText(Path("robot.xml"))
     text.joints[0].set("damping", [0.16])
     text.written() -> bytes
 
-Elements of included files can be read but not changed. An element that is new gets the indentation of its neighbours.
+Elements of included files can be read but not changed. A new element gets the indentation of its neighbours.
 """
 
 import re
@@ -29,7 +29,7 @@ SAME = 1e-9  # of the largest number of an attribute
 
 
 class NotEditable(ConfigError):
-    """An MJCF whose own text cannot express a change. Its message says why."""
+    """A change that the text of an MJCF cannot express. The message says why."""
 
 
 @dataclass(eq=False)
@@ -272,7 +272,7 @@ class MjcfText:
             blank = lambda comment: re.sub(rb"[^\n]", b" ", comment[0])
             parser.Parse(COMMENT.sub(blank, data), True)  # MuJoCo takes a comment with two hyphens, expat does not
         except expat.ExpatError as error:
-            raise NotEditable(f"{path.name} is no well-formed XML: {error}") from error
+            raise NotEditable(f"{path.name} is not well-formed XML: {error}") from error
         return open_ones[0].children[0]
 
     def _included(self, element: MjcfElement, within: Path) -> Path:

@@ -3,12 +3,12 @@
     row      factors on its constants (mass, inertia, centre of each body; gain; stated friction), then effects:
              `coulomb_friction@elbow`
     segment  starts from the logged state; u(k) is the mean of the logged command over step k; commands hold between stamps
-    reading  s q - z of each joint, at its stamp; the cubic through angles and rates of the steps
-    base     of one that floats: its place, and its attitude, which differs from the measured one by a rotation vector
+    reading  s q - z of each joint at its stamps, from a cubic through the angles and rates of the steps
+    base     if it floats: its position, and the rotation vector from its measured attitude
 
 J counts channels: the coordinates of a free base (records/attitude.py), then hinges and slides.
-The mean over a step makes the prediction smooth in a delay. A late reading is a segment that begins as much earlier, so from the
-logs alone a delay of the sensors is one of the commands.
+The mean over a step makes the prediction smooth in a delay. A late reading is equivalent to an earlier start of the segment, so
+the logs alone cannot distinguish a delay of the sensors from one of the commands.
 """
 
 import copy
@@ -36,14 +36,14 @@ from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import RobotRecord, assumed, robot_records
 from fishmj.log import Trial
 
-FINE = 0.125  # of the description's step: its own errs by some mrad in 0.3 s, ten times an encoder's noise
-AT_ONCE = 4096  # rollouts of a batch, for memory's sake
-REST = 2.0  # usual torques that an actuator gives at rest if its description states no limit
-LEAST = 1e-6  # share of the largest torque, inertia or mass of the robot that is none
+FINE = 0.125  # reference step over the description's, whose error of some mrad in 0.3 s is ten times an encoder's noise
+AT_ONCE = 4096  # rollouts per batch, to limit memory
+REST = 2.0  # stall torque, in units of the usual torque, of an actuator without a stated limit
+LEAST = 1e-6  # share of the robot's largest torque, inertia or mass that counts as zero
 SHORT = 0.02  # m, least size of a body
-SAME_AT_CENTRE = ("payload",)  # as a heavier body, where its centre is the place from which the effect counts
+SAME_AT_CENTRE = ("payload",)  # equals a heavier body if the centre of mass is at the frame's origin
 AFTERWARDS = 1e6  # s for which the last command holds
-KEPT = 64  # sets of commands, and of defects, that are kept
+KEPT = 64  # cached sets of commands, and of defects
 
 
 class PlacedEffect(NamedTuple):
@@ -56,7 +56,7 @@ class PlacedEffect(NamedTuple):
 
 
 class PresentEffect(NamedTuple):
-    """An effect that is not at its null in a row. p: its parameters by name. draw: 0 for its mean, else the number of a draw."""
+    """An effect that is not at its null in a row. p: parameters by name. draw: number of a random draw; 0: the mean."""
 
     placed: PlacedEffect
     p: SimpleNamespace
@@ -67,11 +67,12 @@ class RigidRobot(ParameterRow):
     """A robot described in MJCF.
 
     Args: robot: the description. sizes: of its motion, which scale the effects. catalogue: effects; default, all of a robot.
-    without: names of effects at their sites that are left out. stride: steps of the description in a step here. What the step
-    changes in the description's own prediction, against one `FINE` times as long, is added to every other (search_step.py).
+    without: names of effects at their sites that are left out. stride: steps of the description per step of the search. The
+    discretisation error, known for the description from a step `FINE` times as long, is subtracted from all predictions
+    (search_step.py).
 
-    screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, deviation of the torque at
-    each joint that no model explains; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
+    screened_records: number of logs on which the whole catalogue is screened. torque_error: (J,) N m, standard deviation of the
+    unexplained torque at each joint; as stated, or as measured (search/unexplained_torque.py). reference: (P,) row at which
     `record_errors` are linear.
     """
 
@@ -111,7 +112,7 @@ class RigidRobot(ParameterRow):
         self.active = effects.EffectStack(listed, self.joints)
         self._owner = np.repeat(np.arange(len(listed)), [len(effect.parameters) for effect in listed])
         self._sent: dict[tuple, np.ndarray] = {}
-        # A semi-implicit step moves by the rate at its end, so its rates are those of half a step earlier.
+        # A semi-implicit step moves by the rate at its end, so its rates belong to half a step earlier.
         semi_implicit = robot.model.opt.integrator != int(mujoco.mjtIntegrator.mjINT_RK4)
         self._early = 0.5 * self.dt if semi_implicit else 0.0
         self.torque_error = self.torque_tolerance
@@ -124,7 +125,7 @@ class RigidRobot(ParameterRow):
 
     @property
     def rest(self) -> list[float]:
-        """Torque of each joint's actuator at rest where the description states none, N m."""
+        """Assumed stall torque of each joint's actuator if the description states none, N m."""
         return [REST * self._usual_torque(name) for name in self.robot.sites("joint")]
 
     def with_errors(self, torque: np.ndarray, reference: np.ndarray) -> "RigidRobot":
@@ -216,12 +217,12 @@ class RigidRobot(ParameterRow):
         return (sizes | {"damping": torque / rate, "drag": torque / rate**2})[unit]
 
     def _usual_torque(self, joint: str) -> float:
-        """Usual torque of a joint, or a little of that of the robot, N m."""
+        """Usual torque of a joint, or at least a small share of the robot's, N m."""
         usual = np.maximum(self.sizes.torque, LEAST * max(self.sizes.torque.max(), LEAST))
         return float(usual[self.robot.channels.index(joint)])
 
     def model(self, row: np.ndarray) -> Any:
-        """A MjModel with the constants and effects of one parameter row (P,), delays and readings aside."""
+        """MjModel with the constants and effects of one parameter row (P,), except for delays and readings."""
         return self._model(np.asarray(row, float), self._present(row))
 
     def _model(self, row: np.ndarray, present: list[PresentEffect]) -> Any:
@@ -299,7 +300,7 @@ class RigidRobot(ParameterRow):
         return [{"joint": one + self._defect(record)} for record, one in zip(records, seen, strict=True)]
 
     def _defect(self, record: RobotRecord) -> np.ndarray | float:
-        """(K, J) readings of the description at a fine step, less those at the step of the search."""
+        """(K, J) discretisation correction: readings of the description at a fine step minus those at the step of the search."""
         if self._exact is None:
             return 0.0
         mark = record.mark
@@ -404,20 +405,20 @@ class RigidRobot(ParameterRow):
                 apart = placed.form.site == "thrusters" and mine not in self.robot.thrusters
                 if placed.site not in ("", mine) or apart:
                     continue
-                if draw and placed.form.scatter is not None:  # a packet holds the commands of all actuators: one seed for all
+                if draw and placed.form.scatter is not None:  # a packet has the commands of all actuators, so one seed for all
                     sent, asked = placed.form.scatter(np.random.default_rng(draw), p, sent, asked)
                 elif placed.form.command is not None:
                     sent, asked = placed.form.command(p, sent, asked)
             edges = np.append(sent, sent[-1] + AFTERWARDS)
             whole = np.concatenate([[0.0], np.cumsum(asked * np.diff(edges))])
-            own = t - self.robot.delays[a] - self._early  # the force at t_k moves the rate from half a step before to half after
+            own = t - self.robot.delays[a] - self._early  # the force at t_k changes the rate over half a step on either side
             summed = np.interp(own, edges, whole) + np.minimum(own - edges[0], 0.0) * asked[0]
             out[..., a] = np.diff(summed, axis=1) / self.dt
         return out
 
     # --------------------------------------------------------------------------------------------------------- errors of a record
     def record_errors(self, records: list[RobotRecord], layout: ResidualLayout) -> tuple[np.ndarray, ...]:
-        """Response (K, m_l) of each record to the error of each start, and to a torque at each joint that no model explains.
+        """Response (K, m_l) of each record to the error of each start, and to an unexplained torque at each joint.
 
         The torque is the sum of hats every `spacing` s; each hat at each joint has a deviation of its own. Rows are in the order
         of `error_groups`: segment by segment.
@@ -444,9 +445,9 @@ class RigidRobot(ParameterRow):
         return tuple(out)
 
     def scatter(self, records: list[RobotRecord], layout: ResidualLayout, row: np.ndarray, keep=None) -> tuple[np.ndarray, ...]:
-        """Factors (K, m_l) of each record: what drawn commands (RobotForm.scatter) change beside their mean; () without any.
+        """Covariance factors (K, m_l) of each record from random commands (RobotForm.scatter); () without such effects.
 
-        keep: (L,) bool, records that are asked for; the others get none.
+        keep: (L,) bool, records to compute; the others get none.
         """
         present = self._present(row)
         if not any(x.placed.form.scatter is not None for x in present):
@@ -457,7 +458,7 @@ class RigidRobot(ParameterRow):
         return scatter_of(layout, dict(zip(asked, self._shoot([records[i] for i in asked], there, models), strict=True)))
 
     def error_groups(self, record: RobotRecord) -> np.ndarray:
-        """(K,) number of the joint whose torque each row of `record_errors` is of; that of joints for an error of a start."""
+        """(K,) joint of the torque in each row of `record_errors`; the number of joints for the error of a start."""
         torques = np.repeat(np.arange(self.joints), len(self._hats(record)))
         return np.tile([*[self.joints] * (2 * self.joints), *torques], len(record.starts))
 

@@ -1,4 +1,4 @@
-"""A robot described in MJCF or URDF: its joints, actuators and moving bodies, and what the search cannot take.
+"""A robot described in MJCF or URDF: its joints, actuators and moving bodies, and the checks that the search supports it.
 
     robot = read_robot(Path("robot.xml"))       robot.model: MjModel without contacts and without the delays of actuators
     robot.site(model, "joint", "elbow")         place of an effect
@@ -136,7 +136,7 @@ class RobotDescription:
             touching.append(any(c.dist < 0.0 and not neighbours(m, *c.geom) for c in d.contact))
         if np.mean(touching) > CONTACTS:
             often = f"bodies of {self.path.name} touch in {100 * np.mean(touching):.0f} % of the logged states"
-            raise LogError(f"{often}, and the search leaves contacts out; record where it moves freely, or correct its geoms")
+            raise LogError(f"{often}, but the search ignores contacts; record free motion, or correct the geoms")
 
     def takes_laws(self, joint: str) -> bool:
         """Returns True if the torque of a joint's actuator is affine, so that a law can know it."""
@@ -226,17 +226,17 @@ def name_of(m, kind: str, number: int) -> str:
 def read_robot(path: Path) -> RobotDescription:
     """Reads a description.
 
-    Raises ConfigError: not a model, or one that the search cannot take; one line that says what would work.
+    Raises ConfigError: not a model, or one that the search does not support; the message says what would work.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         raw = spec.copy().compile()
     except (ValueError, OSError, mujoco.FatalError) as error:
-        raise ConfigError(f"{path}: no MJCF or URDF that MuJoCo can compile: {' '.join(str(error).split())[:200]}") from error
+        raise ConfigError(f"{path}: MuJoCo cannot compile it as MJCF or URDF: {' '.join(str(error).split())[:200]}") from error
     notes = []
     working = spec.copy()
     if raw.nu == 0 and path.suffix.lower() == ".urdf":
-        notes.append(f"{path.name} names no actuators: each of its joints gets a motor of its own, in N m")
+        notes.append(f"{path.name} has no actuators: each joint gets a motor, in N m")
         for made in (spec, working):
             for joint in made.joints:
                 motor = made.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -265,15 +265,15 @@ def read_robot(path: Path) -> RobotDescription:
     base = next((FreeBase(bodies[j], dofs[j], places[j]) for j in range(m.njnt) if m.jnt_type[j] == FREE), None)
     thrusters = {names[a]: a for a in range(m.nu) if on_site[a]}
     if base:
-        notes.append(f"the base of {path.name} floats: its tilt, friction of its free joint and contacts are in no question")
+        notes.append(f"the base of {path.name} floats: its tilt, contacts and the free joint's friction are not searched")
     if twice := {j.name for j in joints} & {*thrusters, *(COORDINATES if base else ())}:
-        what = "a joint and a thruster, or a joint and a coordinate of the free base, share it; rename the joint"
+        what = "used for a joint and for a thruster or a base coordinate; rename the joint"
         raise ConfigError(f"{path}: the name {min(twice)}: {what}")
     return RobotDescription(path, spec, m, joints, names, delays, tuple(notes), base, thrusters)
 
 
 def _searchable(m, path: Path) -> None:
-    """Raises ConfigError for what the search cannot take."""
+    """Raises ConfigError for a model that the search does not support."""
     hinged = [int(kind) for kind in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)]
     joint_driven = [int(kind) for kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
     count = len(m.actuator_trntype)  # nu counts inputs: a <pid> may have two
@@ -299,4 +299,4 @@ def _searchable(m, path: Path) -> None:
     }
     found = [f"{what}; {instead}" for what, instead in faults.items() if instead]
     if found:
-        raise ConfigError(f"{path}: the search cannot take this robot: {found[0]}")
+        raise ConfigError(f"{path}: the search does not support this robot: {found[0]}")

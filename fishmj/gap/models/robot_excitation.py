@@ -3,8 +3,8 @@
     start      where the robot rests: torques off, or servos at its first key frame, else at qpos0 moved into the middle half of
                each joint's range
     command    u0 + size * span * signal(t), faded in and out; span: to the nearest limit of ctrl, joint or force
-    safe       each joint within its range less MARGIN (without one: half a turn from the start), below `speed`, nothing touches
-               that did not touch at the start; with the described model and with half its friction
+    safe       each joint stays within its range less MARGIN (without a range: half a turn from the start) and below `speed`, and
+               no new contact occurs, both with the described model and with half its friction
 
 families: `multisine` five harmonics a joint with random phases; `chirp` 0.1 to 3 Hz; `steps` random levels of 0.4 to 1.2 s;
 `holds` slow ramps between levels that are held; `in_turn` a multisine of one joint after another.
@@ -22,22 +22,22 @@ from fishmj.gap.models.robot_description import RobotDescription, neighbours
 from fishmj.gap.progress import Bars, silent_bar
 
 FAMILIES = ("multisine", "chirp", "steps", "holds", "in_turn")
-MARGIN, MIDDLE = 0.1, 0.25  # of a joint's range, on either side of where it may go, and of where it starts
+MARGIN, MIDDLE = 0.1, 0.25  # share of a joint's range excluded at either end for motion, and for the start
 TURN = np.pi  # rad or m from the start, without a range
 PERIOD = 0.01  # s between two commands
-LOOK = 0.02  # s between two looks at what touches
-FADE = 0.5  # s at the beginning and the end, in which commands grow and fade
+LOOK = 0.02  # s between two checks for contacts
+FADE = 0.5  # s of fade-in and fade-out of the commands
 LOWEST, HIGHEST = 0.1, 2.0  # Hz of multisines
 FASTEST = 3.0  # Hz of a chirp's end
-SHARES = tuple(np.geomspace(1.0, 0.01, 14).round(3).tolist())  # of the span, that are tried
+SHARES = tuple(np.geomspace(1.0, 0.01, 14).round(3).tolist())  # tried sizes, as shares of the span
 SETTLE = 6.0  # s in which a robot comes to rest, with more damping
 GENTLE = 0.4  # of the largest safe size: friction shows in slow motion
-RESTING = 0.01  # rad/s or m/s, that a robot at rest may still have
-LOOSE = 0.5  # of friction and damping
+RESTING = 0.01  # rad/s or m/s, largest rate of a robot at rest
+LOOSE = 0.5  # factor on friction and damping in the second safety check
 
 
 class RobotExperiment(NamedTuple):
-    """Commands (T, A) at stamps t (T,) s, what the described model then does, and the largest size that is safe.
+    """Commands (T, A) at stamps t (T,) s, the described model's motion, and the largest safe size.
 
     q, v: (T, J) angles and rates. share: of the span.
     """
@@ -82,7 +82,7 @@ def rest_of(robot: RobotDescription, speed: float) -> RobotRest:
     for _ in range(round(SETTLE / m.opt.timestep)):
         mujoco.mj_step(m, d)
     if not np.all(np.isfinite(d.qpos)) or np.abs(d.qvel).max(initial=0.0) > max(0.1 * speed, RESTING):
-        raise ConfigError(f"{robot.path}: does not come to rest with its motors off, or its servos at their first key frame")
+        raise ConfigError(f"{robot.path}: does not come to rest, motors off or servos at key frame 1; add a key frame at rest")
     m.dof_damping[:] = damping
     return RobotRest(d.qpos.copy(), command, _spans(robot, m, d, command, low, high, speed))
 
@@ -123,7 +123,7 @@ def _gravity(robot: RobotDescription, m: Any, dof: int) -> float:
 
 
 def _free(robot: RobotDescription) -> Any:
-    """MjModel without contacts, as the search takes it, with the delays of its actuators: a touch is looked for by itself."""
+    """MjModel without contacts, as in the search, with the delays of its actuators; contacts are checked separately."""
     m = robot.spec.copy().compile()
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return m
@@ -174,7 +174,7 @@ def safe_experiments(
     others: Sequence[Any] = (),
     bars: Bars = silent_bar,
 ) -> list[RobotExperiment]:
-    """Each family at the largest size that is safe, and gently: at GENTLE of it. A family that is never safe is left out.
+    """Each family at its largest safe size and at GENTLE times that. A family that is never safe is left out.
 
     others: further MjModels, such as with the effects in question, in which they must be safe too.
     """

@@ -1,13 +1,13 @@
-"""Rollouts of a robot of hinges and slides as machine code: the steps of `mujoco.rollout`, an order of magnitude sooner.
+"""Compiled rollouts of a robot of hinges and slides: the steps of `mujoco.rollout`, ten times as fast.
 
-MuJoCo's step is made for scenes: of two joints it takes most of its time to find that there is nothing to do. robot_loops.py
-holds what is left for a tree on a fixed base: bias forces, inertia, springs, damping, actuators, laws of the joints
+MuJoCo's step is made for large scenes; for two joints it mostly checks what need not be computed. robot_loops.py has the
+computations for a tree on a fixed base: bias forces, inertia, springs, damping, actuators, laws of the joints
 (joint_laws.py), the box drag of a medium, dry friction as MuJoCo's constraint, and the integrators Euler and implicitfast.
 
     numbers of each model -> rows of a table (R models share one tree) -> `roll` -> states, and which rollouts it cannot do
 
-`mujoco.rollout` is the plain code that it stands for (tests/test_gap_robot_kernel.py): it takes every robot that `can_roll`
-refuses, and every rollout that comes to the end of a joint's range or leaves the finite numbers.
+`mujoco.rollout` is the reference (tests/test_gap_robot_kernel.py). It also runs every robot that `can_roll` refuses, and every
+rollout that reaches a joint limit or diverges.
 """
 
 import re
@@ -33,7 +33,7 @@ ROWS |= dict(FORCE=48, WHOLE=54, SHARE=64, BLOCK=70)
 GROUND = dict(STEP=6, GROUND=7)
 OF_JOINT = dict(ZERO=22, ARMATURE=23, DAMPING=24, STIFF=27, RUB=29, LOW=32, HIGH=33, JOINT=34)
 DRIVE = 13
-WILD = 1e9  # rad/s or m/s, from which a rollout is MuJoCo's own matter
+WILD = 1e9  # rad/s or m/s, above which MuJoCo itself does the rollout
 TAKEN = ("CONTACT", "ISLAND", "SENSOR", "WARMSTART", "FILTERPARENT", "MIDPHASE", "NATIVECCD", "MULTICCD", "AUTORESET")
 NONE = ("body_gravcomp", "jnt_actgravcomp", "jnt_stiffnesspoly", "actuator_damping", "actuator_dampingpoly", "actuator_armature")
 IMPEDANCE = 1e-4, 0.9999  # mjMINIMP, mjMAXIMP
@@ -41,7 +41,7 @@ TINY = 1e-15  # mjMINVAL
 
 
 def can_roll(m: Any) -> bool:
-    """Returns True if a robot, and whatever the effects may make of it, is one that the compiled steps know."""
+    """Returns True if the compiled steps support a robot, with any of its effects."""
     known = [int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)]
     flags = sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in TAKEN)
     scene = m.ntendon + m.neq + m.na + m.nplugin + m.nflex + m.nmocap + m.opt.enableflags + m.opt.noslip_iterations

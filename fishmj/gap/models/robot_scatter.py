@@ -1,6 +1,6 @@
-"""Covariance of what draws of a robot's commands change beside their mean.
+"""Covariance of a robot's readings from random commands (lost or late packets), about their mean.
 
-Each segment by itself: no packet reaches far beyond the next start, and a clock that holds commands drifts.
+Segments are independent: no packet acts far beyond the next start.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ import numpy as np
 
 from fishmj.gap.records.records import ResidualLayout
 
-DRAWS = 24  # more than the averages in a segment of four joints
+DRAWS = 24  # random draws: more than the averages in a segment of four joints
 WEAK = 1e-3  # of the largest change in a segment, which is none
 
 

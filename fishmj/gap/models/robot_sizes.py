@@ -24,8 +24,8 @@ class RobotSizes(NamedTuple):
 def sizes_of(robot: RobotDescription, records: Sequence[RobotRecord]) -> RobotSizes:
     """Usual torques and rates at the starts of all segments.
 
-    A torque is the larger of what the motion needs, by the model's inverse dynamics, and what the actuators give for the commands
-    there: a light leg with much friction needs little and is given much.
+    A torque is the larger of that from inverse dynamics and that of the actuators for the commands: a light leg with much
+    friction needs little torque but gets much.
     """
     m, d = robot.model, mujoco.MjData(robot.model)
     dofs = robot.dofs

@@ -11,9 +11,9 @@ from fishmj.gap.records.shooting import RobotRecord, assumed, thinned
 
 
 def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[RobotRecord], without: frozenset[str]) -> int:
-    """Largest stride whose error in the change by each effect, at its small usual size in a few segments, is below `step_error`.
+    """Largest stride whose relative error in the response to each effect, at a small usual size, is below `step_error`.
 
-    without: effects in no question.
+    without: effects that are not searched.
     """
     limits = assumed("segments")
     some = thinned(list(records[:1]), int(limits["tried"]))
@@ -27,7 +27,7 @@ def coarsest(robot: RobotDescription, sizes: RobotSizes, records: Sequence[Robot
         return ((seen[1:] - seen[0]) / some[0].joint.sigma).reshape(len(rows) - 1, -1)
 
     known = changes(exact)
-    size = np.maximum(np.linalg.norm(known, axis=1), np.sqrt(known.shape[1]))  # below the noise, no share is asked
+    size = np.maximum(np.linalg.norm(known, axis=1), np.sqrt(known.shape[1]))  # below the noise, any error is allowed
     stride = int(limits["step"] / robot.dt)
     while stride > 1:
         off = np.linalg.norm(changes(RigidRobot(robot, sizes, without=without, stride=stride)) - known, axis=1) / size

@@ -1,4 +1,4 @@
-"""The swimming fish with adjustable water: each coefficient of its strips is a number of a row.
+"""The swimming fish with adjustable water: the strip coefficients are parameters of a row.
 
 row = [k and cn of head, body and tail as factors; the other coefficients in SI; the effects that the description lists]
 """
@@ -18,11 +18,11 @@ from fishmj.water.dynamics import planar_chain, strip_forces
 
 WHERE = ("head", "body", "tail")
 LIFT = 0.5  # that lift_a + lift_b are at least
-LEAST = 0.05  # of the highest value allowed: what a coefficient that is described as zero may still be, one standard deviation
+LEAST = 0.05  # least prior standard deviation, as a share of the largest allowed value: for coefficients described as zero
 
 
 class FreeNumber(NamedTuple):
-    """An adjustable number of the water: its coefficient, and of a list the place (head, body, tail)."""
+    """An adjustable parameter of the water: its coefficient and, for a list, the place (head, body, tail)."""
 
     name: str
     coefficient: str

@@ -1,6 +1,6 @@
 """The swimming fish: planar chain in structured water, with every effect of the catalogue in it.
 
-A parameter row is [constants (factors on the calibrated fish), effects]. Its null row is the calibrated fish, nothing else.
+A parameter row is [constants (factors on the calibrated fish), effects]. The null row is the calibrated fish without effects.
 
 `ServoStand` is the fish on a bench: hung in air on a thread, or put in water, with the few numbers of servo fits.
 
@@ -8,7 +8,7 @@ A parameter row is [constants (factors on the calibrated fish), effects]. Its nu
             with k = m g / l of a thread of length l
     water   the swimming fish
 
-One model does both: the row's constant `wet` is 1 or 0, set by each record's medium. Constants kp, kd (all of the joint's
+One model covers both: the constant `wet` is 1 or 0, by each record's medium. Constants kp, kd (all of the joint's
 damping: back-EMF, controller, grease) are SI here, not factors.
 """
 
@@ -31,7 +31,7 @@ from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
 
-AT_ONCE = 256  # rollouts of a batch, for memory's sake
+AT_ONCE = 256  # rollouts per batch, to limit memory
 STRIDE = 5  # physics steps between samples; between them poses follow the cubic through angles and rates
 
 
@@ -167,7 +167,7 @@ class SwimmingFish(ParameterRow):
         rest, still = [0.0] * (self.joints + 3), [(0.0, 0.0)] * self.chain.n
         pose = planar_chain.kinematics(np, self.chain, rest, rest, still)
         m = planar_chain.mass_matrix(self.chain, self.nominal, pose, rigid=False)
-        turning = range(2, self.joints + 3)  # all links turn with the head of a rigid fish
+        turning = range(2, self.joints + 3)  # all links of a rigid fish turn with the head
         return np.array([m[0][0], m[1][1], sum(m[max(r, c)][min(r, c)] for r in turning for c in turning)])
 
     def predict(self, records: list[Record], rows) -> list[dict]:
@@ -198,7 +198,7 @@ class SwimmingFish(ParameterRow):
     def _starts(self, record: Record, effect_rows) -> np.ndarray:
         """(R, S) states behind the measured start of the record: at rest, or with the given push.
 
-        The errors of a camera or encoder are subtracted by fixed point: true = shown - (seen(true) - true).
+        Errors of camera and encoders are removed by fixed-point iteration: true = shown - (seen(true) - true).
         """
         nv, rows = self.joints + 3, len(effect_rows)
         parameters = [column[:, None] for column in effect_rows.T]

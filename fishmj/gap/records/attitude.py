@@ -57,5 +57,5 @@ def unit_quaternions(q: np.ndarray, where: str) -> np.ndarray:
     if len(wrong):
         k = wrong[0]
         got = f"{', '.join(f'{x:.3g}' for x in q[k])} has length {length[k]:.3g}"
-        raise LogError(f"{where}: row {k + 1} of the quaternion, {got}; expected 1: are they its four columns?")
+        raise LogError(f"{where}: row {k + 1} of the quaternion, {got}; expected 1: are these its four columns?")
     return q / length[:, None]

@@ -23,7 +23,7 @@ def trials_in(data: Path) -> list[Trial]:
 
 
 def readable_trials(data: Path, dt: float | None = None) -> Taken:
-    """Readable part of a data set, without rows of failed reads.
+    """Readable trials of a data set, without rows of failed reads.
 
     dt: also leave out trials that cannot be compared at this step [s] of a model.
 
@@ -37,7 +37,7 @@ def readable_trials(data: Path, dt: float | None = None) -> Taken:
     first: dict[str, str] = {}
     for name in [name for name, trial in trials.items() if trial.value("origin") == "measured"]:
         if (other := first.setdefault(readings_sha256(trials[name]), name)) != name:
-            broken[name] = f"has the readings of {other} to the last digit: one recording under two names"
+            broken[name] = f"has exactly the readings of {other}: one recording under two names"
             del trials[name]
     if dt is not None:
         for name in list(trials):
@@ -57,7 +57,7 @@ def trials_named(data: Path, names: list) -> list[Trial]:
     for name in names:
         if name not in found.trials:
             why = found.broken.get(str(name), "no such trial")
-            raise LogError(f"{data}: {str(name)[:64]!r}, a record that the gap was stated on: {why}")
+            raise LogError(f"{data}: {str(name)[:64]!r}, a record of the stated gap: {why}")
     return [trial for name, trial in found.trials.items() if name in names]
 
 
@@ -66,7 +66,7 @@ def _bundle(data: Path) -> Taken:
     trials, broken = {}, {}
     for trial in read_bundle(data):
         if not isinstance(trial.name, str) or not isinstance(trial.meta, dict):
-            raise StoreError(f"{data}: not a bundle of trials (a name that is no text, or no meta data); write it again")
+            raise StoreError(f"{data}: not a bundle of trials (invalid name, or no meta data); write it again")
         try:
             trial_check.check_meta(trial.meta, f"{data}: {trial.name}")
             for name, table in trial.tables.items():

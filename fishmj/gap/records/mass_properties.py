@@ -2,10 +2,10 @@
 
     weighed = (mass kg, balance point from the nose m, yaw inertia about it kg m2)      straight, dry
 
-The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first searched record. Without scales
-in it the mass of the description counts as weighed, unless stated otherwise: a wrong body mass imitates nearly any error of the
-water, and takes a minute to weigh. Its null runs are the instruments' errors alone: a healthy fish weighs as much as its model.
-An effect on a weighing is the definition of mass and no formula of the water, so no form error is granted (likelihood.py).
+The page `measurements.toml` of a data set (log/measurements.py) is one more sensor, of the first searched record. If it
+has no scales, the mass of the description counts as weighed unless stated otherwise: a wrong body mass imitates nearly any error
+of the water, and weighing takes a minute. Its null runs have the instruments' errors only, since a healthy fish has its model's
+mass. The effect of mass on a weighing is exact, so it has no form error (likelihood.py).
 """
 
 from math import sqrt
@@ -22,15 +22,15 @@ from fishmj.water.dynamics.hooks import Effects
 CHANNEL = "weighing"
 SCALES, EDGE, PENDULUM = 1e-3, 1e-3, 5e-3  # least errors: of a mass, relative; of a balance point, m; of an inertia, relative
 QUANTITIES = (("mass", "kg"), ("balance point", "m from the nose"), ("yaw inertia", "kg m2"))
-BEYOND = 3.0  # sigma, from which it is said
+BEYOND = 3.0  # sigma, least difference that is reported
 DRAWN = 0x5CA1E  # of the null runs' readings
 
 
 def sensor(page: dict, model, known: bool = True) -> Sensor | None:
     """(1, 3) values of a page, NaN for a missing table; None for an empty page.
 
-    sigma: of the instruments, or the scatter of repeats. known: the description's mass was weighed, to within the error of
-    scales; it counts if the page has no scales. Raises ConfigError: a number is missing or not positive.
+    sigma: of the instruments, or the scatter of repeats. known: True if the description's mass was weighed; it is used if the
+    page has no scales. Raises ConfigError: a number is missing or not positive.
     """
     if not known and not page.keys() & {"scales", "balance", "pendulum"}:
         return None
@@ -84,12 +84,12 @@ def agreement(model, records: list[Record]) -> str:
         if abs(value - nominal) > BEYOND * sigma
     ]
     known = ", ".join(name for (name, _), value in zip(QUANTITIES, weighed.values[0], strict=True) if np.isfinite(value))
-    return f"Weighed: its {'; its '.join(off)}." if off else f"What was weighed agrees ({known})."
+    return f"Weighed: its {'; its '.join(off)}." if off else f"The weighings agree with the model ({known})."
 
 
 def described(mass: float) -> str:
     """Note that no scales were used."""
-    return f"The model's mass, {mass:.4g} kg, counts as weighed; --mass-unknown where it never was on scales."
+    return f"The model's mass, {mass:.4g} kg, counts as weighed; add --mass-unknown if it was never weighed."
 
 
 def with_page(records: list[Record], weighed: Sensor | None) -> list[Record]:
@@ -98,7 +98,7 @@ def with_page(records: list[Record], weighed: Sensor | None) -> list[Record]:
 
 
 def null(weighed: Sensor, runs: int, seed: int) -> dict[str, np.ndarray]:
-    """Sensor and column -> (n, 1) residuals of fish with the right weight."""
+    """Sensor and column -> (n, 1) residuals of fish with the model's mass."""
     read = weighed.sigma * np.random.default_rng([DRAWN, seed]).standard_normal((runs, 3))
     return {f"weighed{column}": values[:, None] for column, values in enumerate(read.T)}
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-LEAD, PACE = 2.0, 1.0  # s before a swim is judged, and between two places that its speed is taken from
+LEAD, PACE = 2.0, 1.0  # s skipped at the start, and between two positions that give a speed
 
 
 def mean_speed_and_yaw_rate(t: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
-    """Mean speed, m/s, from place to place a second apart, and mean yaw rate, rad/s, once the swim is under way.
+    """(mean speed from positions one second apart, m/s; mean yaw rate, rad/s) after the first two seconds.
 
     Args:
         t: (K,) s. pose: (K, 3) m, m, rad unwrapped.

@@ -1,7 +1,7 @@
 """A trial as the input of the search, and its comparison with a model.
 
-Record           every measurement at its own time stamps: nothing measured is resampled. Commands are held from one to the next,
-                 like in the servo; a model's step in which one arrives has the mean over the step
+Record           every measurement at its own time stamps, without resampling. Commands are held until the next one, as in the
+                 servo; a model's step in which one arrives gets the mean over the step
 ResidualLayout   short averages of every channel, measured minus predicted, as one long vector
 
 A fast channel is averaged over 60 ms, a slow one over 0.2 s: less noise, without loss for a beat of 3 Hz. Heading and
@@ -20,16 +20,16 @@ from fishmj.log import Trial
 from fishmj.log.trial import stacked
 
 MEDIA = ("water", "air")
-REST = 0.3  # s at the start of a trial, as long as it rests, over which its start pose is averaged
-TINY = 1e-9  # s: the row that has moved is not one of rest
+REST = 0.3  # s of rest at the start, at most, over which the start pose is averaged
+TINY = 1e-9  # s, to exclude the first row that moved from the rest
 STILL = np.radians(2.0)  # a command or a joint that has moved by this no longer rests
-NOISE = 6.0  # standard deviations of an encoder, which are no movement
-SWIMS = 0.15  # m/s at the first row; a model begins at rest, or with the push that the log states
-LATE = 0.5  # s after the joints begin to move by which they and the fish must be seen: the model starts from there
-LOST, JUMP = 0.25, 3.0  # s of a pause in steady commands, and times their usual step that they have moved by its end
-OLDEST = 1.0  # s, of a pose at its stamp
-LONGEST = 3600.0  # s of a record; beyond it, two clocks that do not share a zero
-MOVING = 0.09  # s after it begins to move: what the camera's own delay still shows of the start
+NOISE = 6.0  # standard deviations of an encoder up to which a change is no movement
+SWIMS = 0.15  # m/s, largest speed at the first row: a model starts at rest, or with the stated push
+LATE = 0.5  # s after the first joint motion by which joints and pose must be measured, since the model starts there
+LOST, JUMP = 0.25, 3.0  # s of a pause in steady commands; change over the pause, in usual steps, that means lost rows
+OLDEST = 1.0  # s, largest age of a pose at its stamp
+LONGEST = 3600.0  # s, largest length of a record; longer means clocks with different zeros
+MOVING = 0.09  # s after the first motion in which the camera, by its delay, still shows the rest
 
 
 class Sensor(NamedTuple):
@@ -58,9 +58,9 @@ class Record(NamedTuple):
     push: np.ndarray  # (3,) surge, sway [m/s], yaw rate [rad/s] at t = 0
     joints: np.ndarray  # (J,) angles at t = 0, rad
     session: float  # s since the session began
-    placed: Sensor | None = None  # x, y m, yaw rad that the camera shows of a fish that was put to rest at `place`
+    placed: Sensor | None = None  # x, y m, yaw rad that the camera measures of the fish at rest at `place`
     stated: Mapping[str, float] = MappingProxyType({})  # noise of each column as the log states it, in the column's unit
-    push_sigma: tuple[float, ...] = (0.0, 0.0, 0.0)  # how well `push` is known, one standard deviation
+    push_sigma: tuple[float, ...] = (0.0, 0.0, 0.0)  # standard deviation of `push`
     weighed: Sensor | None = None  # kg, m, kg m2: mass, balance point, yaw inertia of the straight fish (mass_properties.py)
 
     @property
@@ -72,13 +72,13 @@ class Record(NamedTuple):
 def record_of(trial: Trial, dt: float, camera: float | None = None) -> Record:
     """Reads one trial.
 
-    camera: age [s] at its stamp that the model expects of a pose; one whose log states its age (`latency.pose`) is stamped so.
+    camera: age [s] of a pose at its stamp that the model assumes; a log's own `latency.pose` replaces it.
 
-    Raises LogError: no commands or rows of them lost, nothing measured or too late, joints that differ in number, clocks of
-    another zero, a fish that swims at the first row, or meta data that are no numbers.
+    Raises LogError: missing or lost commands, missing or late measurements, different numbers of joints, clocks with different
+    zeros, a fish that moves at the first row, or meta data that are not numbers.
     """
     if "cmd" not in trial.tables:
-        raise LogError(f"trial {trial.name}: no table cmd; what was commanded must be known to say what is missing")
+        raise LogError(f"trial {trial.name}: no table cmd; a search needs the commands")
     cmd = trial.table("cmd")
     begin, c = float(cmd["t"][0]), stacked(cmd, "c#")
     joint = _sensor(trial, "joint", begin, lambda t: stacked(t, "j#"), [f"j{i + 1}" for i in range(c.shape[1])])
@@ -89,12 +89,12 @@ def record_of(trial: Trial, dt: float, camera: float | None = None) -> Record:
     if joint is None and pose is None:
         raise LogError(f"trial {trial.name}: neither joint nor pose was measured; nothing can be compared")
     if joint is not None and joint.values.shape[1] != c.shape[1]:
-        counts = f"{c.shape[1]} joints were commanded and {joint.values.shape[1]} measured"
+        counts = f"{c.shape[1]} joints were commanded but {joint.values.shape[1]} measured"
         raise LogError(f"trial {trial.name}: {counts}; give cmd and joint a column for each")
     end = max(float(s.t[-1]) for s in (joint, pose, power) if s is not None)
     if end > LONGEST:
         late = f"the last measurement is {end:.4g} s after the first command, at most {LONGEST:g} s are compared"
-        raise LogError(f"trial {trial.name}: {late}; do all tables count from the same zero?")
+        raise LogError(f"trial {trial.name}: {late}; do all tables have the same time zero?")
     steps = int(np.ceil(end / dt)) + 1
     push = _three(trial, "push", (0.0, 0.0, 0.0))
     still = _still(cmd["t"] - begin, c, joint)
@@ -155,15 +155,15 @@ def _refuse_late(name: str, seen: dict[str, Sensor | None], still: float) -> Non
         if sensor is not None and sensor.t[0] > still + LATE:
             raise LogError(
                 f"trial {name}: {table} begins {sensor.t[0]:.3g} s after the first command, the joints move from"
-                f" {max(still, 0):.3g} s on, and a model begins where both are known; do all tables count from one zero? If so,"
+                f" {max(still, 0):.3g} s on, and a model begins where both are known; do all tables have one time zero? If so,"
                 f" begin the commands with the table {table}, while the fish lies still"
             )
 
 
 def _refuse_lost(name: str, t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> None:
-    """Raises LogError for a pause of steady commands in which the joints go on, or after which the commands go on elsewhere.
+    """Raises LogError for a pause in steady commands in which the joints move, or after which the commands have jumped.
 
-    Where the joints have no row in the pause either, commands that move right before and right after it were lost.
+    If the joints have no row in the pause either, commands that move right before and after it count as lost.
     """
     step, moved = np.diff(t), np.abs(np.diff(commands, axis=0)).max(1)
     if len(step) < 8 or np.quantile(step, 0.75) > 1.5 * np.median(step):
@@ -174,8 +174,8 @@ def _refuse_lost(name: str, t: np.ndarray, commands: np.ndarray, joint: Sensor |
         swings = np.ptp(seen, 0).max() > 2 * STILL if len(seen) > 1 else min(np.ptp(c, 0).max() for c in beside) > 2 * STILL
         if swings or moved[i] > JUMP * max(np.quantile(moved, 0.9), STILL):
             raise LogError(
-                f"trial {name}: no commands for {step[i]:.3g} s from t = {t[i]:.4g} s on, and they were not held: rows were lost,"
-                " and nothing says what was commanded; split the trial there (fishmj.log.segments)"
+                f"trial {name}: no commands for {step[i]:.3g} s from t = {t[i]:.4g} s on, and they were not held: rows were lost;"
+                " split the trial there (fishmj.log.segments)"
             )
 
 
@@ -241,7 +241,7 @@ def _still(t: np.ndarray, commands: np.ndarray, joint: Sensor | None) -> float:
 
 
 def _at_rest(name: str, pose: Sensor, rest: float) -> None:
-    """Raises LogError if the fish swims in the first rows: no log holds its joint rates, so no model can start there."""
+    """Raises LogError if the fish moves in the first rows: logs lack joint rates, so a model cannot start there."""
     rows = pose.t <= rest
     if rows.sum() < 3:
         return
@@ -253,8 +253,8 @@ def _at_rest(name: str, pose: Sensor, rest: float) -> None:
     noise = float(np.nan_to_num(pose.sigma[:2]).max()) / spread
     if speed > SWIMS + NOISE * noise:
         raise LogError(
-            f"trial {name}: the fish moves at {speed:.2g} m/s at the first row and no push is stated; a model begins at rest. "
-            "Begin the record, or cut it, where the fish lies still; where it is let go from a carriage, state push in meta.toml"
+            f"trial {name}: the fish moves at {speed:.2g} m/s at the first row without a stated push; a model starts at rest. "
+            "Begin the record where the fish is still; if a carriage launches it, state push in meta.toml"
         )
 
 
@@ -330,7 +330,7 @@ class ResidualLayout:
         return out
 
     def aligned(self, other: "ResidualLayout", vector: np.ndarray) -> np.ndarray:
-        """A vector of `other`, the same experiments with their own stamps, at this layout's windows.
+        """A vector of `other` (same experiments, other stamps) in this layout's windows.
 
         A window that `other` lacks is interpolated linearly from its neighbours.
         """

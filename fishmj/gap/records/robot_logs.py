@@ -61,14 +61,14 @@ POSE = (*PLACE, *QUATERNION)
 PLACED = {"pos", "position", "base", "pose", "p", "translation", "mocap", "location"}
 TURNED = {"q", "quat", "quaternion", "orientation", "rot", "rotation", "att", "attitude"}
 TWIST = {"v", "twist", "linear", "angular", "gyro", "omega", "covariance"}
-BLIND = 0.1  # s without a joint's reading, in which no pose is taken
-PARTS, SHORTEST = 4, 2.0  # into which an only log is cut, and s of each
+BLIND = 0.1  # s without joint readings, above which poses are dropped
+PARTS, SHORTEST = 4, 2.0  # number of parts into which a single log is cut, and least length of each, s
 SLOWEST = 0.4  # s from row to row; a larger step is in another unit
-LARGEST, FASTEST, OVER = 60.0, 50.0, 0.02  # rad; rad/s over so many s: a joint beyond either is not in rad
+LARGEST, FASTEST, OVER = 60.0, 50.0, 0.02  # rad; rad/s averaged over s: above either a joint is not in rad
 
 
 class RobotColumns(NamedTuple):
-    """Which column is which. joint, actuator: by the model's names, in its order. base: by POSE, empty if it is fixed."""
+    """Map of the columns. joint, actuator: by the model's names, in its order. base: by POSE, empty if it is fixed."""
 
     time: Stamp
     joint: dict[str, Column]
@@ -86,7 +86,7 @@ class RobotColumns(NamedTuple):
         return out + [f"{c.column} -> command of {name}{asked(c)}{scale(c)}" for name, c in self.actuator.items()]
 
     def doubts(self) -> list[str]:
-        """Warnings about commands that were measured: a current times a constant is a torque only as far as the constant is."""
+        """Warnings about commands computed from a measured current, whose gain has the error of the torque constant."""
         measured = [name for name, c in self.actuator.items() if _words(str(c.column)) & (MEASURED | CURRENT)]
         return [f"commands of {', '.join(measured)} are measured, not sent: their gain is that of a sensor"] if measured else []
 
@@ -113,7 +113,7 @@ def read_columns(
         are = f"{'is' if len(missing) == 1 else 'are'} missing; expected a column for each"
         raise LogError(f"{path}: {', '.join(missing)}: {are}{f', of {_listed(columns)}' if columns else ''}")
     if unknown := sorted(set(raw) - {"time", "joint", "actuator", "base"}):
-        raise LogError(f"{path}: {bare(unknown[0])} is no key; expected time, [joint], [actuator] and [base]")
+        raise LogError(f"{path}: {bare(unknown[0])} is not a key; expected time, [joint], [actuator] and [base]")
     return RobotColumns(_column(raw.get("time"), f"{path}: time", Stamp), **tables)
 
 
@@ -148,7 +148,7 @@ def guess_columns(
         torques: True if the model's actuators take torques, not positions. units: stated by the file beside the names.
         free: the model has a free base.
 
-    Raises LogError: nothing fits, or two fit as well.
+    Raises LogError: no column fits, or two fit equally.
     """
     base = _pose_columns(names) if free else {}
     names = [n for n in names if n not in base.values()]
@@ -375,7 +375,7 @@ def read_sheet(path: Path) -> LogTable:
 def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
     """One log: commands by actuator (c#) and positions by joint (j#), SI; each value of a slow encoder once, at its first row.
 
-    Raises LogError: a column is missing, stamps do not rise, or a joint turns so far that it is in degrees.
+    Raises LogError: a column is missing, stamps do not increase, or a joint seems to be in degrees.
     """
     tables, notes = {}, [note for sheet in table.sheets for note in sheet.notes]
     read = {str(c.column) for part in (columns.joint, columns.actuator, columns.base) for c in part.values()}
@@ -395,8 +395,8 @@ def robot_trial(table: LogTable, columns: RobotColumns) -> Trial:
         if not np.all(np.diff(t[keep]) > 0):
             i = int(np.argmax(np.diff(t[keep]) <= 0))
             told = f"{t[keep][i + 1]:.10g} s after {t[keep][i]:.10g} s, row {np.flatnonzero(keep)[i + 1] + 1}"
-            remedy = "sort the rows, remove doubles, or split the file where the clock begins again"
-            raise LogError(f"{table.where}: stamps {columns.time.column} do not rise: {told}; {remedy}")
+            remedy = "sort the rows, remove duplicates, or split the file where the clock restarts"
+            raise LogError(f"{table.where}: stamps {columns.time.column} do not increase: {told}; {remedy}")
         if (step := float(np.median(np.diff(t[keep])))) > SLOWEST and not columns.time.unit:
             line = f'time = {{ column = "{columns.time.column}", unit = "{time_unit(t[keep])[0] or "ms"}" }}'
             raise LogError(
@@ -421,8 +421,8 @@ def _refuse_short(table: LogTable, columns: RobotColumns, sent: np.ndarray, read
     if sheets[0] is not sheets[1] and min(sent[0], read[0]) < EPOCH and share < (least := bounds_of({}, table.where).overlap):
         raise LogError(
             f"{table.where}: commands from {sent[0]:.6g} to {sent[-1]:.6g} s, positions from {read[0]:.6g} to {read[-1]:.6g} s:"
-            f" they share {max(both, 0.0):.3g} s; expected at least {100 * least:g} % of the longer. Are the clocks in two units?"
-            f' Mend one, or state the unit of both in a map, --columns MAP.toml: time = {{ column = "..", unit = "s" }}'
+            f" they share {max(both, 0.0):.3g} s; expected at least {100 * least:g} % of the longer. Are the units equal?"
+            f' Correct one, or state the unit of both in a map, --columns MAP.toml: time = {{ column = "..", unit = "s" }}'
         )
 
 
@@ -432,7 +432,7 @@ def _posed(table: LogTable, columns: RobotColumns, joint: dict | None) -> dict[s
     keep = np.isfinite(t) & np.isfinite(pose).all(1)
     t, pose = t[keep], pose[keep]
     if len(t) < 2 or not np.all(np.diff(t) > 0):
-        raise LogError(f"{table.where}: fewer than two rows have the base's pose, or their stamps do not rise; sort the rows")
+        raise LogError(f"{table.where}: fewer than two rows have the base's pose, or their stamps do not increase; sort the rows")
     pose[:, 3:] = unit_quaternions(pose[:, 3:], table.where)
     if joint is None:
         return {"t": t, **dict(zip(POSE, pose.T, strict=True))}
@@ -445,7 +445,7 @@ def _posed(table: LogTable, columns: RobotColumns, joint: dict | None) -> dict[s
 
 
 def in_parts(log: Trial) -> list[Trial]:
-    """A long log as PARTS logs one after the other; a log shorter than that many times SHORTEST as it is."""
+    """A log cut into PARTS logs; one shorter than PARTS times SHORTEST stays whole."""
     ends = [(t["t"][0], t["t"][-1]) for t in log.tables.values()]
     begin, end = max(a for a, _ in ends), min(b for _, b in ends)
     if end - begin < PARTS * SHORTEST:
@@ -491,7 +491,7 @@ def read_robot_logs(files: Sequence[Path], columns: RobotColumns) -> tuple[list[
             try:
                 trial = robot_trial(table, columns)
                 if (other := first.setdefault(readings_sha256(trial), trial.name)) != trial.name:
-                    raise LogError(f"{table.where}: has the readings of {other} to the last digit: one recording under two names")
+                    raise LogError(f"{table.where}: has exactly the readings of {other}: one recording under two names")
                 logs.append(trial)
             except FishmjError as error:
                 broken[path.name if len(tables) == 1 else table.name] = " ".join(str(error).split())

@@ -68,7 +68,7 @@ class RobotRecord(NamedTuple):
 
     @property
     def mark(self) -> int:
-        """Number that differs where commands, stamps or starts differ: a changed record keeps its name."""
+        """Hash of commands, stamps and starts, since a changed record keeps its name."""
         arrays = [self.sent, self.commands, self.joint.t, self.starts, self.angles, self.rates, self.accelerations]
         arrays += [self.turns, self.start_turns]
         return hash((self.length, *(a.tobytes() for a in arrays)))
@@ -90,13 +90,13 @@ class RobotRecord(NamedTuple):
 
 
 def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecord:
-    """Cuts one log into segments and estimates their starts. dt: the model's step [s]. joints: `RobotDescription.channels`.
+    """Cuts one log into segments and estimates their start states. dt: the model's step [s]. joints: `RobotDescription.channels`.
 
     Raises LogError: no commands or positions, another number of joints, or no segment without a pause.
     """
     for table, what in (("cmd", "commands"), ("joint", "positions")):
         if table not in trial.tables or not len(trial.table(table)["t"]):
-            raise LogError(f"log {trial.name}: no {what}; the search needs what was commanded and how the joints moved")
+            raise LogError(f"log {trial.name}: no {what}; a search needs commands and joint positions")
     cmd, moved = trial.table("cmd"), trial.table("joint")
     begin = max(float(cmd["t"][0]), float(moved["t"][0]))
     t, q, turns, begins = np.asarray(moved["t"], float) - begin, stacked(moved, "j#"), NO_TURNS, NO_TURNS
@@ -112,7 +112,7 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
     keep = np.isfinite(q).all(1) & (np.isfinite(turns).all(1) if free else True)
     t, q, turns = t[keep], q[keep], turns[keep] if free else turns
     if len(t) < 2 or not np.all(np.diff(t) > 0):
-        raise LogError(f"log {trial.name}: stamps of positions do not rise; sort the rows, and remove those that repeat a stamp")
+        raise LogError(f"log {trial.name}: stamps of positions do not increase; sort the rows and remove duplicates")
     own = q[:, 6:] if free else q
     if np.abs(np.diff(own, axis=0)).max(initial=0.0) > TURN:
         own[:] = np.unwrap(own, axis=0)
@@ -128,7 +128,7 @@ def robot_record(trial: Trial, dt: float, joints: tuple[str, ...]) -> RobotRecor
     whole = [s for s in starts if not np.any((pauses[:, 1] > s - half) & (pauses[:, 0] < s + length))]
     if not whole:
         whole_log = f"{t[-1] - t[0]:.2g} s with {len(pauses)} pauses"
-        raise LogError(f"log {trial.name}: no {length:g} s without a pause in {whole_log}; record it anew")
+        raise LogError(f"log {trial.name}: no {length:g} s without a pause in {whole_log}; record a new log")
     starts = np.array(whole)
     inside = np.searchsorted(starts, t, side="right") - 1
     used = (inside >= 0) & (t < starts[np.maximum(inside, 0)] + length)
@@ -196,7 +196,7 @@ def robot_records(trials: Sequence[Trial], dt: float, joints: tuple[str, ...]) -
 
 
 def thinned(records: list[RobotRecord], most: int) -> list[RobotRecord]:
-    """The records with at most `most` segments together, spread evenly over each: the cost of a search is their number."""
+    """The records with at most `most` segments in total, spread evenly: the cost of a search is proportional to them."""
     total = sum(len(r.starts) for r in records)
     return [_some_of(r, max(1, round(len(r.starts) * most / total))) for r in records] if total > most else records
 

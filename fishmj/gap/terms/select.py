@@ -1,4 +1,4 @@
-"""Selects the terms that describe a gap: every term fitted alone on the whitened residual, then four tests of it.
+"""Selects the terms that describe a gap: fits every term alone to the whitened residual, then applies four tests.
 
 g_k    = dz/dc_k by a central difference                 signature of term k, (m,)
 gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without record l (of few: a third of one)
@@ -6,7 +6,7 @@ gain_k = sum_l |z_l|^2 - |z_l - c_k(-l) g_kl|^2          c_k(-l) fitted without 
 The best to first order and the best at finite coefficients are fitted with the whole model, and ranked by the same gain
 about each one's optimum.
 
-null       gain of the same term on null runs, whitened by the others, and that of the luckiest of all terms: subtracted
+null       gain of the same term on null runs, whitened by the others, and that of the best of all terms by chance: subtracted
 decoys     g_k shifted along each record by a random time: same spectrum, same correlations, no relation to z. p-value of gain_k
            among all decoys' gains, Benjamini & Hochberg 1995 at 10 %
 stability  share of half-samples of thirds of records in which it is one of the first two (Meinshausen & Buehlmann 2010)
@@ -70,14 +70,14 @@ def terms_of(model, records: list[Record], null: np.ndarray, seed: int = 0) -> t
     g, probed = signatures(whole, terms)
     onto = groups(e.layout, 1 if len(records) >= LIMITS.whole_records else LIMITS.pieces)
     gains = held_out_gains(base.z, g, onto)
-    # The best of ninety terms gains something on any fish: the gain of the luckiest on null runs is subtracted from all.
+    # The best of ninety terms gains something by chance: the gain of the best term on null runs is subtracted from all.
     floor = null_gains(e, null, g, onto)
     sided = np.where([one_sided(t) for t in terms], LIMITS.one_sided_weight, 1.0)
     net = (gains - floor) * sided
     rng = np.random.default_rng(seed)
     # Decoys, not a chi-squared: neighbouring samples of z are alike, so a term has fewer degrees of freedom than samples.
     q = discovery(gains, decoy_gains(base.z, g, e.layout, onto, rng))
-    # Pieces, not whole records: of two or three records there are too few halves to draw.
+    # Pieces of records, because two or three whole records allow too few half-samples.
     stable = stability(base.z, g, groups(e.layout, LIMITS.pieces), net / np.maximum(gains, 1e-9), rng)
     # First order chooses among all terms. The remaining few are fitted with the whole model, since a fish that drifts far off
     # its path does not respond linearly to a coefficient.

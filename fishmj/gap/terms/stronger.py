@@ -1,16 +1,16 @@
-"""Tests if a free force explains more than the found effect, which then only stands in for it.
+"""Tests if a free force explains more than the found effect, which then only imitates it.
 
     gain = sum_f loss_f(present model) - loss_f(term)      folds f, each predicted by a coefficient from the others
     lead = gain(best term) - gain(found effect)
 
-A name is a formula, and must beat one without knowledge: the best single term of the typed library, fitted from the
-present model and judged like the name, held out and by the likelihood linearised at itself. A right name leads by hundreds and
-more, or a term is nearly its formula and neither leads. A substitute for a force that no effect has is behind the term nearest
-to that force, and that term is right from sample to sample: one with as large a form error as the name is no evidence.
+A named effect must beat the best single term of the typed library, fitted to the present model and judged in the same way: held
+out and with the likelihood linearised at itself. A correct effect leads by hundreds, or a term nearly equals its formula and
+neither leads. An effect that imitates a force outside the catalogue is behind the term nearest to that force. Such a term must
+also have a smaller form error than the effect; otherwise it is no evidence.
 
-A sensor's own error is no force, and replaces an effect if it makes the records as likely: a command's gain or a
-log in which every angle is 4 % too large, the camera's height or one of its axes, dry friction or an encoder with slack. Then the
-answer is a CLASS with both in it.
+A sensor error may explain the records as well as an effect: a log with every angle 4 % too large instead of a command's gain, an
+error of the camera's axes instead of its height, an encoder with slack instead of dry friction. Then the answer is a CLASS with
+both.
 
 A term that is an effect's own formula is no evidence against the effect either. Alike are their actions in random states: the
 push on a body that swims ahead (surge force, sway force, yaw moment over a body length), the torque on a joint, or
@@ -50,7 +50,7 @@ from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import number
 
-RULER = "a known length in the picture, along x and along y, and a held angle read with a protractor: no log tells its own scale"
+RULER = "a known length in the picture, along x and along y, and a held angle read with a protractor: no log has its own scale"
 
 
 class StrongerTerm(NamedTuple):
