@@ -338,7 +338,7 @@ def test_the_template_of_a_plant_is_a_study_and_is_not_written_over(plant, tmp_p
     optional = {"held_out", "candidates", "prediction", "search"} - ({"prediction"} if plant == "body" else set())
     checked({k: v for k, v in tomllib.loads(path.read_text()).items() if k not in optional}, "x", tmp_path)
     assert console.run(main, ["--new", str(path), "--plant", plant]) == console.BAD_INPUT
-    assert "is there already" in capsys.readouterr().err
+    assert "exists; name another file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
