@@ -158,9 +158,9 @@ def some_trials(folder: Path, names: str, change=lambda table, column, values: v
 @pytest.mark.parametrize(
     ("names", "change", "said"),
     [
-        ("air_sine_1", None, "finds 1 sine in air. Record square, impulse in air and in water, three times each"),
-        ("air_sine_1", None, "name them: log import .. --excitation TRIAL=square"),
-        ("air_sine_1 air_sine_2 water_sine_1", None, "finds 2 sine in air, 1 sine in water. Record square, impulse"),
+        ("air_sine_1", None, "found: 1 sine in air. Record square, impulse in air and in water, three times each"),
+        ("air_sine_1", None, "name the signal: log import .. --excitation TRIAL=square"),
+        ("air_sine_1 air_sine_2 water_sine_1", None, "found: 2 sine in air, 1 sine in water. Record square, impulse"),
         ("water_sine_1 water_square_1", lambda t, c, v: None if t == "joint" else v, "water_sine_1 is left out: no table joint"),
         ("air_sine_1 air_square_1", lambda t, c, v: 0.01 * v if (t, c[0]) == ("cmd", "c") else v, "commands stay within 0."),
         ("air_sine_1 air_square_1", lambda t, c, v: 0 * v if c[0] == "j" else v, "joint: j1 stands still (0 deg) while c1 moves"),
