@@ -103,13 +103,12 @@ def robot_of(name: str) -> list[str]:
     """
     if not CONDITIONS[name].changes:
         return []
-    text, path = FISH.read_text(encoding="utf-8"), OUT / f"{name}.toml"
+    text = FISH.read_text(encoding="utf-8")
     for pattern, new in CONDITIONS[name].changes:
         text, count = re.subn(pattern, new, text)
         if count != 1:
             raise ConfigError(f"{FISH.name}: {pattern!r} found {count} times, expected once; adapt condition {name!r}")
-    write_text(path, text)
-    return ["--robot", str(path)]
+    return ["--robot", str(write_text(OUT / f"{name}.toml", text))]
 
 
 def label(controller: str) -> str:
@@ -117,11 +116,23 @@ def label(controller: str) -> str:
     return NAME if "/" in controller or controller.endswith(".safetensors") else controller
 
 
+def options_of(name: str) -> list[str]:
+    """Options of `fishmj evaluate` for the water of a condition, without its robot."""
+    return [*TRIALS, "--seed", str(CONDITIONS[name].seed), *shlex.split(CONDITIONS[name].options)]
+
+
 def command(controller: str, name: str) -> list[str]:
     """Arguments of `fishmj evaluate` for a condition."""
+    options = [*options_of(name), "--repeats", str(CONDITIONS[name].repeats), *robot_of(name)]
+    return [controller, *options, "--out", str(OUT / label(controller) / name)]
+
+
+def stored_rows(name: str) -> list[dict[str, str]]:
+    """Trials of `NAME` in a condition, from its table."""
     made = CONDITIONS[name]
-    options = [*TRIALS, "--repeats", str(made.repeats), "--seed", str(made.seed), *shlex.split(made.options)]
-    return [controller, *options, *robot_of(name), "--out", str(OUT / label(controller) / name)]
+    with made.tables[0].open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["controller"] == NAME]
+    return [row for row in rows if (row["water"], row["seed"]) == (made.water, str(made.seed))]
 
 
 def is_done(controller: str, name: str) -> bool:

@@ -6,11 +6,14 @@
     python -m studies.leaderboard --write          put tables into docs/train/results.md and cards beside the shipped policies
 
 Rows of the CPU's waters are in studies/training/rows/judged/WATER.json, a results.json of `fishmj evaluate` without its
-directions. Rows of the flow solver are studies/solver/rows/judged_*.csv, one line a trial; they need a GPU.
+directions. Rows of the flow solver are studies/solver/rows/judged_*.csv, one line a trial; they need a GPU. The card of
+`station-family` also has the waters of `studies.judged_waters`.
 """
 
 import csv
 import json
+import re
+from collections.abc import Callable
 from hashlib import sha256 as digest_of
 from pathlib import Path
 from typing import NamedTuple
@@ -18,11 +21,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
+from fishmj.base.calib import constant
 from fishmj.base.store import read_json, sha256, write_text
 from fishmj.control.policy import Policy, file_of, shipped
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.evaluate.metrics import gather
 from fishmj.evaluate.policy_card import KEYS, KEYS_BY_SPEED, card_path, make_card, write_card
+from studies import judged_waters
 
 ROOT = Path(__file__).resolve().parent.parent
 STORED = ROOT / "studies" / "training" / "rows" / "judged"
@@ -43,7 +48,20 @@ CURVE_OF = {
     "station-family": "ppo-family-3.jsonl",
     "station-sb3": "sb3-ppo-0.jsonl",
 }
-CONDITION = "flow 0.1/0.2/0.3 m/s, default turbulence 5 %, water lbm"  # of SOLVER
+CONDITION = "default turbulence 5 % unless said, water lbm"  # of the flow solver
+OTHERS = {  # rows of a card, each of some conditions of `judged_waters`
+    "reference-2, two other draws": ("reference-10", "reference-11"),
+    "reference-3": ("reference-3",),
+    "paper slip 0.97, two draws": ("slip-0.97", "slip-0.97-10"),
+    "reference-2, 0 to 0.04 m/s": ("rest",),
+    "paper slip 1, 0 to 0.04 m/s": ("slip-1-rest",),
+    "reference-2, 0.35 and 0.4 m/s": ("fast",),
+    "reference-2, gusts of 25 %": ("gusts",),
+    "reference-2, turbulence of 25 %": ("turbulence",),
+    "reference-2, commands 85 ms later": ("late",),
+    "reference-2, another mass, gain or tail": ("heavy", "light", "weak", "tail"),
+    "cells of 1.5 cm, or box round the fish": ("cells-1.5", "window-0.995", "window-0.985"),
+}
 WEIGHTS = {  # digest of the arrays that the flow solver judged: a policy trained anew has none of its rows
     "paper": "30be15fc7745b3de5c71abceefa1cb316fc0ca8e2c0e5ea40991ed788cf97703",
     "pilot": "f73d422ad9ab2e6acafd3b1eb236210eb6972799244d7354069dc12ea52383b6",
@@ -125,7 +143,7 @@ def less(row: dict) -> dict:
     """Row of a results.json with the figures that a card shows."""
     some = lambda figures, keys: {key: {k: v for k, v in figures[key].items() if k not in ("why", "unit")} for key in keys}
     by_speed = {speed: some(figures, KEYS_BY_SPEED) for speed, figures in row["by_speed"].items()}
-    kept = ("controller", "n", "policy_sha256", "water", "engine", "held", "worst")
+    kept = ("controller", "n", "policy_sha256", "water", "engine", "held", "held_by_speed", "worst")
     return {**{key: row[key] for key in kept}, "overall": some(row["overall"], KEYS), "by_speed": by_speed}
 
 
@@ -138,33 +156,63 @@ def solved(rows: SolverRows) -> dict[str, dict]:
         mine = [line for line in lines if line["controller"] == name]
         if not mine or (name in shipped() and arrays_sha256(name) != WEIGHTS.get(name)):
             continue
-        figures = {key: np.array([float(line[key] or "nan") for line in mine]) for key in KEYS}
-        speeds, after = np.array([line["speed"] for line in mine]), figures["rmse_after_arrival"]
-        by_speed = {speed: gather({key: figures[key] for key in KEYS_BY_SPEED}, speeds == speed) for speed in sorted(set(speeds))}
-        last, seed = mine[int(after.argmax())], int(mine[0].get("seed", 0))
-        repeats = 1 + max(int(line["repeat"]) for line in mine)
+        seed, repeats = int(mine[0].get("seed", 0)), 1 + max(int(line["repeat"]) for line in mine)
         drawn = f"{rows.options} --seed {seed}" if seed else rows.options
-        options = drawn if repeats == 3 else f"{drawn} --repeats {repeats}"
-        trial = f"--speeds {last['speed']} --los {last['los_deg']} --repeats {int(last['repeat']) + 1}"
-        found[name] = {
-            "controller": name,
-            "n": len(mine),
-            "policy_sha256": sha256(file_of(name)) if name in shipped() else "",
-            "water": {"name": "lbm", "kind": "lbm"},
-            "engine": rows.engine,
-            "held": int(((figures["arrival"] > 0) & (after <= 0.1)).sum()),
-            "worst": {
-                "trial": f"{name}_u{last['speed']}_los{int(last['los_deg']):03d}_r{last['repeat']}",
-                "seed": seed,
-                "rmse_after_arrival": float(after.max()),
-                "replay": f"fishmj evaluate {name} {drawn} {trial} --out runs/worst_{name} --log",
-            },
-            "overall": gather(figures),
-            "by_speed": by_speed,
-            "command": f"fishmj evaluate {name} {options}",
-            "condition": f"{len(mine)} trials of 60 s, {CONDITION}, engine {rows.engine}, seeds judge {seed}",
-        }
+        command = f"fishmj evaluate {name} {drawn if repeats == 3 else f'{drawn} --repeats {repeats}'}"
+        found[name] = row_of(name, mine, rows.engine, command, lambda line, drawn=drawn: drawn)
     return found
+
+
+def row_of(name: str, lines: list[dict], engine: str, command: str, options: Callable[[dict], str]) -> dict:
+    """Row of a results.json from the figures of single trials in the flow solver; options: of a trial, without its condition."""
+    figures = {key: np.array([float(line[key] or "nan") for line in lines]) for key in KEYS}
+    speeds, after = np.array([line["speed"] for line in lines]), figures["rmse_after_arrival"]
+    known = sorted(set(speeds), key=float)
+    holds = (figures["arrival"] > 0) & (after <= constant("protocol", "arrival_radius"))
+    last = lines[int(np.nan_to_num(after, nan=np.inf).argmax())]
+    trial = f"--speeds {last['speed']} --los {last['los_deg']} --repeats {int(last['repeat']) + 1}"
+    seeds = ", ".join(sorted({line.get("seed", "0") for line in lines}, key=int))
+    return {
+        "controller": name,
+        "n": len(lines),
+        "policy_sha256": sha256(file_of(name)) if name in shipped() else "",
+        "water": {"name": "lbm", "kind": "lbm"},
+        "engine": engine,
+        "held": int(holds.sum()),
+        "held_by_speed": {speed: int(holds[speeds == speed].sum()) for speed in known},
+        "worst": {
+            "trial": f"{name}_u{last['speed']}_los{int(last['los_deg']):03d}_r{last['repeat']}",
+            "seed": int(last.get("seed", 0)),
+            "rmse_after_arrival": float(last["rmse_after_arrival"]) if last["rmse_after_arrival"] else None,
+            "replay": f"fishmj evaluate {name} {options(last)} {trial} --out runs/worst_{name} --log",
+        },
+        "overall": gather(figures),
+        "by_speed": {u: gather({key: figures[key] for key in KEYS_BY_SPEED}, speeds == u) for u in known},
+        "command": command,
+        "condition": f"{len(lines)} trials of 60 s, flow {'/'.join(known)} m/s, {CONDITION}, engine {engine}, seeds judge {seeds}",
+    }
+
+
+def in_other_waters() -> dict[str, dict[str, dict]]:
+    """Rows of `judged_waters` by heading and controller; none if the policy is trained anew."""
+    name, found = judged_waters.NAME, {}
+    if arrays_sha256(name) != WEIGHTS.get(name):
+        return {}
+    for heading, conditions in OTHERS.items():
+        lines = [line | {"of": one} for one in conditions for line in judged_waters.stored_rows(one)]
+        commands = [f"fishmj evaluate {name} {other_options(one)} --repeats 1" for one in conditions]
+        if any(judged_waters.CONDITIONS[one].changes for one in conditions):
+            commands.append("python -m studies.judged_waters --list  # writes the robot")
+        options = lambda line: re.sub(" --speeds [0-9.,]+", "", other_options(line["of"]))
+        row = row_of(name, lines, f"tanks, {heading}", "; ".join(commands), options)
+        found[f"solver, {heading}"] = {name: row}
+    return found
+
+
+def other_options(one: str) -> str:
+    """Options of a condition of `judged_waters`; a changed robot by the file that `--list` writes."""
+    robot = ["--robot", str(judged_waters.OUT / f"{one}.toml")] if judged_waters.CONDITIONS[one].changes else []
+    return " ".join([*judged_waters.options_of(one), *robot])
 
 
 def stored() -> dict[str, dict[str, dict]]:
@@ -176,7 +224,7 @@ def stored() -> dict[str, dict[str, dict]]:
         of = lambda name: sha256(file_of(name)) if name in shipped() else ""
         rows = [row for row in table["results"] if row["controller"] in (*CONTROLLERS, *shipped())]
         found[heading] = {row["controller"]: common | row for row in rows if row["policy_sha256"] == of(row["controller"])}
-    return found | {rows.heading: solved(rows) for rows in SOLVER}
+    return found | {rows.heading: solved(rows) for rows in SOLVER} | in_other_waters()
 
 
 def tables(found: dict[str, dict[str, dict]]) -> str:

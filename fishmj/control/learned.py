@@ -14,7 +14,7 @@ from fishmj.control import CONTROLLERS
 from fishmj.control.policy import FOLDER, Policy, file_of
 from fishmj.control.policy_meta import PolicyBody, PolicyFit, fit, robot_option, structure_sha256
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import constants_sha256, observation_of, structure_of
+from fishmj.mjcf.identity import constants_of, constants_sha256, observation_of, structure_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.tasks import station_hold as task
 from fishmj.water.water_identity import water_identity
@@ -82,7 +82,8 @@ class LearnedController:
         return {**told, "differs": differs, "said": found.said, "lacks": list(found.lacks)}
 
     def _fit(self, robot: Robot) -> PolicyFit:
-        return fit(self.policy.meta, body_of(robot), anyway=self.anyway, known=shipped_structures())
+        meta = {**shipped_constants(self.policy.meta.get("constants_sha256")), **self.policy.meta}
+        return fit(meta, body_of(robot), anyway=self.anyway, known=shipped_structures())
 
     def reset(self, n: int) -> None:
         """Starts n episodes: the policy's memory is empty, the last command zero."""
@@ -103,6 +104,7 @@ def body_of(robot: Robot) -> PolicyBody:
         name=robot.name,
         structure=structure_of(robot),
         constants_sha256=constants_sha256(robot),
+        constants=constants_of(robot),
         water=water_identity(robot),
         observation=observation_of(robot.n_joints),
         command_path=robot.timing.command_path,
@@ -130,6 +132,7 @@ def header_of(robot: Robot) -> dict:
         "structure": body.structure,
         "structure_sha256": structure_sha256(body.structure),
         "constants_sha256": body.constants_sha256,
+        "constants": body.constants,
         "water": body.water,
         "observation": body.observation,
         "action": f"joint angle over {robot.servo.range:.6f} rad",
@@ -138,6 +141,13 @@ def header_of(robot: Robot) -> dict:
         "command": None,  # called from Python
         "origin": "synthetic",  # trained in simulation only
     }
+
+
+@cache
+def shipped_constants(digest: str | None) -> dict[str, dict]:
+    """Key `constants` of a header that has only their digest, where they are those of a shipped robot; else {}."""
+    robots = (robot for robot in map(load_robot, SHIPPED_ROBOTS) if constants_sha256(robot) == digest)
+    return next(({"constants": constants_of(robot)} for robot in robots), {})
 
 
 @cache

@@ -6,6 +6,7 @@
     control_dt        s between two decisions: another one is refused
     command_path      path of commands between two decisions: another one is refused, unless the user sets `--anyway`
     constants_sha256  of the rest of the description without its water, water {name, kind, sha256}, robot, a name: warning
+    constants         {name: number or text}, the single ones of these: the warning names those that differ
     seed, command     of the training; the command as it was typed, null if called from Python
 
 Keys that an older file lacks are not compared, with a note; its servo range and joint count are read from `action` and `joints`.
@@ -25,6 +26,7 @@ from fishmj.water.water_identity import members_of
 
 CLOSE = 0.10  # of a link's length, what calibrations change
 SAME = 1e-3  # of ranges and times: rounding
+NAMED = 8  # constants that differ, in one line
 MOST = 1000  # links, observations: beyond them it is no fish
 LONGEST = 4000  # characters of a training command
 KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
@@ -32,6 +34,8 @@ HASHED = {  # what differs by its hash -> what that may be
     "structure": "lengths or reference point off by at most 10 %",
     "constants": "other masses, sections, servo, timing or effects",
 }
+NOT_STORED = "which is not stored"  # in a header without `constants`
+UNNAMED = "other sections, centres of mass, fins or sizes of effects"  # what `constants` has not
 
 
 class PolicyFit(NamedTuple):
@@ -39,17 +43,19 @@ class PolicyFit(NamedTuple):
 
     Attributes:
         refused: reasons to refuse it. differs: differences from training -> (there, here), short words each.
-        lacks: keys that its header does not have.
+        lacks: keys that its header does not have. constants: those that differ, `servo kp 8, here 9.5`; "" if they do not.
     """
 
     refused: tuple[str, ...]
     differs: dict[str, tuple[str, str]]
     lacks: tuple[str, ...]
+    constants: str = ""
 
     @property
     def said(self) -> str:
         """Differences in one clause, "" if there are none."""
-        return "; ".join(HASHED.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
+        words = HASHED | ({"constants": self.constants} if self.constants else {})
+        return "; ".join(words.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -74,6 +80,10 @@ def check_header(meta: Any, where: str) -> None:
     for key in ("structure_sha256", "constants_sha256"):
         if meta.get(key) is not None and not _is_digest(meta[key]):
             raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 64 hex digits")
+    constants = meta.get("constants", {})
+    fine = lambda x: is_number(x) or (isinstance(x, str) and len(x) <= LONGEST and x.isprintable())
+    if not (isinstance(constants, dict) and len(constants) <= MOST and all(map(fine, (*constants, *constants.values())))):
+        raise ConfigError(f"{where}: constants {shown(constants)}; expected {{name: number or text}}")
     if (structure := meta.get("structure")) is not None:
         _check_structure(structure, where)
         if meta.get("structure_sha256") not in (None, structure_sha256(structure)):
@@ -114,10 +124,17 @@ class PolicyBody(NamedTuple):
     name: str
     structure: dict
     constants_sha256: str
+    constants: dict[str, float | str]
     water: dict  # {name, kind} and, where there is one, sha256
     observation: list[dict]
     command_path: str
     control_dt: float  # s
+
+
+def effects_drawn(meta: dict) -> tuple[str, ...]:
+    """Names of the effects that a training drew for each episode (`--randomise-effects`), from its header."""
+    names = task.get("effects") if isinstance(task := meta.get("task"), dict) else None
+    return tuple(name for name in names if is_name(name)) if isinstance(names, list | tuple) else ()
 
 
 def structure_sha256(structure: dict) -> str:
@@ -174,7 +191,8 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
         "observations": isinstance(meta.get("observation"), list), "seed": meta.get("seed") is not None,
         "training command": "command" in meta,
     }  # fmt: skip
-    return PolicyFit(tuple(refused), differs, tuple(key for key, there in has.items() if not there))
+    changed = _constants(meta.get("constants"), robot.constants) if "constants" in differs else ""
+    return PolicyFit(tuple(refused), differs, tuple(key for key, there in has.items() if not there), changed)
 
 
 def robot_option() -> str:
@@ -188,6 +206,20 @@ def timing_advice(key: str, value: str) -> str:
     todo = f"put {key} = {value} into [timing] of its description, FILE.toml"
     todo += f", and name that ({named} FILE.toml)" if named else ""
     return f"{todo}, or add {option} {value.strip(chr(34))}" if console.offers(option) else todo
+
+
+def _constants(theirs: dict | None, ours: dict) -> str:
+    """Constants that differ, in one clause."""
+    if not theirs:
+        return f"{HASHED['constants']}, {NOT_STORED}"
+    said = lambda value: f"{value:g}" if is_number(value) else shown(value).strip("'") if value is not None else "none"
+    found = [
+        f"{key} {said(theirs.get(key))}, here {said(ours.get(key))}"
+        for key in {**theirs, **ours}
+        if theirs.get(key) != ours.get(key)
+    ]
+    more = [f"and {len(found) - NAMED} more"] if len(found) > NAMED else []
+    return "; ".join([*found[:NAMED], *more]) or UNNAMED
 
 
 def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from fishmj import effects
-from fishmj.base import plugins
+from fishmj.base import console, plugins
 from fishmj.base.errors import OwnCodeError
 from fishmj.base.names import is_name
 from fishmj.effects import Effect, EffectStack
@@ -37,6 +37,12 @@ def option(parser) -> None:
     """Adds `--effects` to a command line; pass its value to `join`."""
     effects = "an effect of your own to put into the catalogue, module:EFFECT or file.py:EFFECT; again for more (default none)"
     parser.add_argument("--effects", action="append", default=[], metavar="MODULE:EFFECT", help=effects)
+
+
+def drawn_option(parser) -> None:
+    """Adds `--randomise-effects` to a command line: names for `engines.with_effects`."""
+    drawn = "effects of the catalogue drawn in typical sizes for each episode or trial (default: none)"
+    parser.add_argument("--randomise-effects", type=console.Listed(console.text), metavar="NAME,..", help=drawn)
 
 
 def join(texts: Iterable[str]) -> list[Effect]:

@@ -13,7 +13,7 @@ from fishmj.engines import own_effects, tank_effects
 from fishmj.evaluate import protocol, trial_report
 from fishmj.evaluate.judge_over_ray import judge_over_ray, with_corrections
 from fishmj.evaluate.metrics import Result, compare, summary
-from fishmj.evaluate.run_trials import KEPT, FinishedTrials, judge_each_in_solver, run
+from fishmj.evaluate.run_trials import KEPT, FinishedTrials, drawn_otherwise, judge_each_in_solver, run
 from fishmj.evaluate.trial_logs import corrections
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
@@ -93,6 +93,7 @@ def options() -> console.Parser:
     add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step}. Policies of another are refused")
     control.anyway_option(parser)
     own_effects.option(parser)
+    own_effects.drawn_option(parser)
     left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
     add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
     add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
@@ -119,11 +120,14 @@ def main(argv: list[str]) -> int:
             raise ConfigError(f"evaluate: {', '.join(unused)}: of {words} only; leave it out, or add it")
     if args.water == choice.LBM and args.engine != "batch":
         raise ConfigError(f"evaluate: --engine {args.engine} with --water lbm, which is an engine itself; leave one of them out")
-    joined = own_effects.join(args.effects)
+    joined, drawn = own_effects.join(args.effects), tuple(args.randomise_effects or ())
+    if drawn and (args.no_randomisation or args.water == choice.LBM):
+        other = "--no-randomisation" if args.no_randomisation else "--water lbm"
+        raise ConfigError(f"evaluate: --randomise-effects beside {other}; leave one of them out")
     if (args.plots or args.log) and args.out is None:
         raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
     water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM, choice.HYBRID), "evaluate")
-    robot = water.robot
+    robot = engines.with_effects(water.robot, drawn)
     for effect in joined:
         if effect.name not in {fitted.name for fitted in robot.effects}:
             console.warn(
@@ -140,7 +144,7 @@ def main(argv: list[str]) -> int:
         speeds=args.speeds, los_deg=args.los, repeats=args.repeats, seed=args.seed, box=args.seeds,
         turbulence=args.turbulence or "default", intensity=args.intensity, heading=args.heading,
         randomisation=0.0 if args.no_randomisation else 1.0, noise=0.0 if args.no_noise else 1.0, duration=args.duration,
-        task=args.task,
+        task=args.task, effects=drawn,
     )  # fmt: skip
     if args.flow_map is not None:
         trials = in_a_tank(trials, args)
@@ -157,7 +161,7 @@ def main(argv: list[str]) -> int:
         work = [(args.solver.box, trials.duration * len(trials) * len(brains))]
         if not args.ray:
             solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
-        begin(water, brains, f": {args.solver.said}")
+        begin(water, brains, drawn, f": {args.solver.said}")
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for found in judge_in_tanks(brains, robot, trials, args):
@@ -167,7 +171,7 @@ def main(argv: list[str]) -> int:
             return report(results, args)
     args.hybrid = hybrid_options(args, robot, trials, len(brains)) if water.kind == choice.HYBRID else None
     family = choice.family_in(robot) if args.no_randomisation else None
-    begin(water, brains, f"; --no-randomisation: the first fit alone, {family.members[0].name}" if family else "")
+    begin(water, brains, drawn, f"; --no-randomisation: the first fit alone, {family.members[0].name}" if family else "")
     moved_by = args.engine if args.hybrid is None else args.hybrid.label(robot)
     kept = FinishedTrials(args.out, robot, trials, moved_by, [brain.name for brain in brains])
     with interrupt.keeping(kept.words):
@@ -198,11 +202,14 @@ def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
     return protocol.measured(trials, {speed: water.intensity for speed, water in waters.items()}, kind)
 
 
-def begin(water: choice.WaterChoice, brains, more: str = "") -> None:
+def begin(water: choice.WaterChoice, brains, drawn: tuple[str, ...], more: str = "") -> None:
     """Prints the water of the judgement, and the differences from the policies' training."""
     console.say(f"water: {water.said}{more}")
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
+    for brain in brains:
+        if said := drawn_otherwise(brain, drawn):
+            console.warn(f"policy {brain.name}: not as trained: {said}")
 
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:

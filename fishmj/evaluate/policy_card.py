@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, FishmjError
 from fishmj.base.store import read_json, sha256, write_text
 from fishmj.control.policy import Policy, file_of
@@ -67,6 +66,7 @@ class WaterJudgement(_CardPart):
 
     Attributes:
         water: name, kind and, where there is one, sha256. held: trials that arrive and stay within the arrival radius (RMS).
+        held_by_speed: of these, how many at each speed of the stream; None in a judgement by an older fishmj.
         command: of `fishmj evaluate`. condition: line that names everything on which a figure depends.
     """
 
@@ -76,6 +76,7 @@ class WaterJudgement(_CardPart):
     command: Name
     n: int
     held: int | None
+    held_by_speed: dict[str, int] | None = None
     overall: dict[str, CardFigure]
     by_speed: dict[str, dict[str, CardFigure]]
     worst: WorstTrial
@@ -91,11 +92,20 @@ class WaterJudgement(_CardPart):
         solved = self.engine.partition(", ")
         return f"solver, {solved[2]}" if solved[0] == "tanks" else self.water["name"]
 
-    def lost_at(self) -> list[str]:
-        """Speeds of the stream at which a trial does not arrive, or the mean RMS distance exceeds the arrival radius."""
-        radius = constant("protocol", "arrival_radius")
-        bad = lambda row: (row["arrival"].value or 0.0) < 1.0 or (row["rmse_after_arrival"].value or np.inf) > radius
-        return [speed for speed, row in sorted(self.by_speed.items(), key=lambda item: float(item[0])) if bad(row)]
+    @property
+    def speeds(self) -> list[str]:
+        """Speeds of the stream, the slowest first."""
+        return sorted(self.by_speed, key=float)
+
+    def lost(self) -> dict[str, tuple[int, int]]:
+        """Numbers of trials that do not hold, and of all, at each speed at which there are any; {} if all hold.
+
+        Of a judgement that does not count them by speed both numbers are those of all, under "".
+        """
+        if self.held_by_speed is None or not set(self.by_speed) <= set(self.held_by_speed):
+            return {} if self.held in (None, self.n) else {"": (self.n - (self.held or 0), self.n)}
+        counts = {u: (self.by_speed[u]["arrival"].n - self.held_by_speed[u], self.by_speed[u]["arrival"].n) for u in self.speeds}
+        return {u: count for u, count in counts.items() if count[0]}
 
 
 class PolicyCard(_CardPart):

@@ -9,6 +9,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json
 from fishmj.control.policy import SHIPPED, Policy, shipped
+from fishmj.control.policy_meta import effects_drawn
 from fishmj.evaluate.policy_card import PolicyCard, WaterJudgement, card_path, curve_beside, make_card, read_card, write_card
 from fishmj.mjcf.reading import load_robot
 
@@ -61,7 +62,7 @@ def main(argv: list[str]) -> int:
 def listed(as_json: bool) -> int:
     """Prints the shipped policies with their figures in each water; returns the exit code."""
     cards = {name: read_card(name) for name in shipped()}
-    title = "trials that arrive, RMSE after arrival [m] with its 95 % interval; synthetic"
+    title = "trials that arrive, RMSE after arrival [m] with its 95 % interval; synthetic; waters in which several are judged"
     console.say(title, "", console.table(comparison(list(cards.values()))), "")
     console.say(*(f"{name}: {SHIPPED[name]}" for name in cards if name in SHIPPED), "", "fishmj policy NAME shows one in full")
     if as_json:
@@ -70,13 +71,14 @@ def listed(as_json: bool) -> int:
 
 
 def comparison(cards: list[PolicyCard]) -> list[dict]:
-    """Rows, one for each water, with a column for each policy."""
+    """Rows, one for each water in which several are judged, with a column for each policy."""
     rows: dict[str, dict] = {}
     for card in cards:
         for found in card.judged:
             row = rows.setdefault(found.where, {"water": found.where})
             row[card.policy] = f"{found.arrived} {found.overall['rmse_after_arrival'].text()}"
-    return [{"water": where, **{card.policy: row.get(card.policy) for card in cards}} for where, row in rows.items()]
+    common = {where: row for where, row in rows.items() if len(row) > 2 or len(cards) == 1}
+    return [{"water": where, **{card.policy: row.get(card.policy) for card in cards}} for where, row in common.items()]
 
 
 def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
@@ -90,6 +92,7 @@ def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
         f"decides every {meta.get('control_dt', '?')} s on the command path {meta.get('command_path', 'not recorded')}",
         "",
         *(f"trained in {water}{f' ({n} times)' * (n > 1)}" for water, n in Counter(map(_water, card.waters or [{}])).items()),
+        *([f"effects drawn: {', '.join(drawn)}"] if (drawn := effects_drawn(meta)) else []),
         f"command   {get('command', 'not recorded')}",
         f"seed      {get('seed', 'not recorded')}",
         f"cost      {_cost(card)}",
@@ -111,15 +114,18 @@ def lines_of(card: PolicyCard, policy: Policy, source: str) -> list[str]:
 
 
 def _judged(judgement: WaterJudgement) -> dict:
-    lost = judgement.lost_at()
+    judged = judgement.held is not None
+    lost = ", ".join(f"{u} m/s: {k} of {n}" if u else f"{k} of {n}" for u, (k, n) in judgement.lost().items())
+    at = lambda u: f"{u}: {judgement.by_speed[u]['rmse_after_arrival'].text(interval=False)}"
     return {
         "water": judgement.where,
         "arrive": judgement.arrived,
-        "hold": "-" if judgement.held is None else f"{judgement.held}/{judgement.n}",
+        "hold": f"{judgement.held}/{judgement.n}" if judged else "-",
         "rmse after arrival [m]": judgement.overall["rmse_after_arrival"].text(),
         "last 20 s [m]": judgement.overall["rmse_last20"].text(interval=False),
-        **{f"at {u} m/s": row["rmse_after_arrival"].text(interval=False) for u, row in sorted(judgement.by_speed.items())},
-        "of these, does not hold at": ", ".join(f"{u} m/s" for u in lost) or "-",
+        "worst [m]": "-" if (worst := judgement.worst.rmse_after_arrival) is None else f"{worst:.3f}",
+        "rmse by speed [m/s: m]": ", ".join(map(at, judgement.speeds)),
+        "do not hold": (lost or "none") if judged else "not judged",
     }
 
 

@@ -62,6 +62,7 @@ class Trials:
     noise: float
     duration: float  # s
     task: str = HOLD
+    effects: tuple[str, ...] = ()  # of the robot, drawn in typical sizes for each trial
     steady: ClassVar[bool] = True  # the mean stream does not change within a trial
     drawn_as: ClassVar[str] = ""  # of a subclass whose draws are not those of the items' seeds
 
@@ -146,9 +147,9 @@ class Trials:
 
     def fish(self, robot: Robot):
         """Randomised fish: (FishParams, camera delay in bus ticks (n,))."""
-        uniforms = np.stack([t.draw(0).random(task.n_fish(robot)) for t in self.items])
+        uniforms = np.stack([t.draw(0).random(task.n_fish(robot, self.effects)) for t in self.items])
         task.warn_of_streams(robot, None, (self.speed.min(),), self.randomisation)
-        return task.draw_fish(np, robot, uniforms, self.randomisation, stream=self.speed)
+        return task.draw_fish(np, robot, uniforms, self.randomisation, self.effects, self.speed)
 
     def sensor_noise(self, robot: Robot, steps: int) -> np.ndarray:
         """Standard normal draws times the wanted strength, (n, steps, 5 + 2 J)."""
@@ -215,6 +216,7 @@ def trials(
     noise: float = 1.0,
     duration: float | None = None,
     task: str = HOLD,
+    effects: tuple[str, ...] = (),
 ) -> Trials:
     """The standard 72 trials, or a part of them; those of another task with the paper's speeds, angles and cycles.
 
@@ -224,6 +226,7 @@ def trials(
         repeats: 1 to 3 (more are possible).
         heading: of the start, "upstream" or "uniform".
         randomisation, noise: 0 switches them off.
+        effects: names of effects that are drawn for each trial; the robot has them (`engines.with_effects`).
 
     Raises ConfigError, UnknownName: an invalid setting.
     """
@@ -273,4 +276,5 @@ def trials(
         noise=noise,
         duration=duration,
         task=task,
+        effects=tuple(effects),
     )

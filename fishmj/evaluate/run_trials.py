@@ -24,6 +24,7 @@ from fishmj.base.options import checked, checked_array, checked_kind, shown_valu
 from fishmj.base.source import package_sha256
 from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
+from fishmj.control.policy_meta import effects_drawn
 from fishmj.evaluate import protocol
 from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.protocol import Trials
@@ -132,7 +133,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     return Result(
         controller=controller.name,
         policy_sha256=getattr(controller, "sha256", ""),
-        policy=trained(controller, solved(robot) if name == LBM else robot),
+        policy=trained(controller, solved(robot) if name == LBM else robot, trials.effects),
         robot=robot,
         trials=trials,
         engine=name,
@@ -202,7 +203,9 @@ class FinishedTrials:
             return None
         console.warn(f"{brain.name} was judged before under the same conditions: taken from {path}")
         known: dict[str, Any] = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
-        return Result(robot=self.robot, trials=self.trials, policy=trained(brain, self.robot), **known, **given)
+        return Result(
+            robot=self.robot, trials=self.trials, policy=trained(brain, self.robot, self.trials.effects), **known, **given
+        )
 
     def keep(self, brain, result: Result) -> Result:
         """Keeps the arrays of a finished controller, and returns its result."""
@@ -243,9 +246,22 @@ class FinishedTrials:
         return self.folder / "judged" / f"{brain.name}_{mark}.npz"
 
 
-def trained(controller, robot: Robot) -> dict | None:
-    """Training of a policy and the differences here; None for a controller that is not a policy."""
-    return controller.trained(robot) if isinstance(controller, LearnedController) else None
+def trained(controller, robot: Robot, effects: tuple[str, ...] = ()) -> dict | None:
+    """Training of a policy and the differences here; None for a controller that is not a policy. effects: drawn here."""
+    if not isinstance(controller, LearnedController):
+        return None
+    told = controller.trained(robot)
+    if said := drawn_otherwise(controller, effects):
+        told["differs"]["effects drawn"] = [list(effects_drawn(controller.policy.meta)), list(effects)]
+        told["said"] = "; ".join(filter(None, (told["said"], said)))
+    return told
+
+
+def drawn_otherwise(controller, effects: tuple[str, ...]) -> str:
+    """Effects that a policy's training drew, and those drawn here, in one clause; "" if they are the same, or for no policy."""
+    drawn = effects_drawn(controller.policy.meta) if isinstance(controller, LearnedController) else effects
+    listed = lambda names: ", ".join(names) or "none"
+    return "" if set(drawn) == set(effects) else f"effects drawn: {listed(drawn)}; here {listed(effects)}"
 
 
 def solved(robot: Robot) -> Robot:
@@ -442,7 +458,7 @@ def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -
         trials=trials,
         engine=engine,
         policy_sha256=getattr(brain, "sha256", ""),
-        policy=trained(brain, solved(robot)),
+        policy=trained(brain, solved(robot), trials.effects),
         t=rows[0]["t"],
         target=target,
         **join,
@@ -466,7 +482,9 @@ def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> st
         "controller": [brain.name, getattr(brain, "sha256", store.sha256(calib_folder() / "controllers.toml"))],
         "robot": repr(robot),
         "trials": {
-            k: v for k, v in asdict(replace(trials, items=())).items() if k != "items" and (k, v) != ("task", protocol.HOLD)
+            k: v
+            for k, v in asdict(replace(trials, items=())).items()
+            if k != "items" and (k, v) not in (("task", protocol.HOLD), ("effects", ()))
         },
         "seed": trials.items[0].seed[:2],
         "water": [water.domain, water.slip, HELD, *([] if water.dx is None else [water.dx])],

@@ -88,10 +88,11 @@ def condition(result: Result) -> str:
     step = f", control step {dt:g} s" if dt != constant("task", "control_dt") else ""
     without = f", without the effects {', '.join(result.left_out)}" if result.left_out else ""
     course = "" if t.task == HOLD else f", task {t.task}"
+    drawn = f", effects {', '.join(t.effects)} drawn" if t.effects else ""
     return (
         f"{len(t)} trials of {t.duration:g} s{course}, flow {speeds} m/s, {t.turbulence_said}, water {result.water}, "
         f"engine {result.engine}, command path {result.robot.timing.command_path}{step}, start heading {t.heading}, "
-        f"randomisation {switch(t.randomisation)}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
+        f"randomisation {switch(t.randomisation)}{drawn}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
 
 
@@ -111,7 +112,7 @@ def energy_rows(summaries: list[dict]) -> list[list[dict]]:
 
 
 def not_as_trained(summaries: list[dict]) -> list[str]:
-    """Lines, one for each policy judged with another robot, other constants, another water or another command path."""
+    """Lines, one for each policy judged with another robot, other constants or draws, another water or command path."""
     told = [(s["controller"], s["policy"]["said"]) for s in summaries if s["policy"]]
     return [f"{name} is not judged as trained: {said}" for name, said in told if said]
 
@@ -283,14 +284,23 @@ def worst(r: Result) -> int:
     return int(np.argmax(np.nan_to_num(far, nan=np.inf)))
 
 
-def trials_held(r: Result) -> int | None:
-    """Number of trials that arrive and stay within the arrival radius (RMS); None if too short to judge, or another task."""
+def holds(r: Result) -> np.ndarray | None:
+    """Trials (B,) bool that arrive and stay within the arrival radius (RMS); None if too short to judge, or another task."""
     found = figures(r)
-    if "rmse_after_arrival" not in found:
+    if "rmse_after_arrival" not in found or "rmse_after_arrival" in too_short(r.trials):
         return None
-    after = found["rmse_after_arrival"]
-    within = (found["arrival"] > 0) & (after <= constant("protocol", "arrival_radius"))
-    return None if "rmse_after_arrival" in too_short(r.trials) else int(within.sum())
+    return (found["arrival"] > 0) & (found["rmse_after_arrival"] <= constant("protocol", "arrival_radius"))
+
+
+def trials_held(r: Result) -> int | None:
+    """Number of trials that hold; None as in `holds`."""
+    return None if (within := holds(r)) is None else int(within.sum())
+
+
+def held_by_speed(r: Result) -> dict[str, int] | None:
+    """Number of trials that hold at each speed of the stream; None as in `holds`."""
+    within, speeds = holds(r), r.trials.speed
+    return None if within is None else {f"{u:g}": int(within[speeds == u].sum()) for u in np.unique(speeds)}
 
 
 def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> dict:
@@ -299,7 +309,8 @@ def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> 
     Args:
         argv: words of `fishmj evaluate`. named: its controllers as the user gave them. k: number of this one.
     Returns:
-        {"policy_sha256", "water": {name, kind, sha256}, "engine", "held", "worst": {trial, seed, the key of `LEADING`, replay}}
+        {"policy_sha256", "water": {name, kind, sha256}, "engine", "held", "held_by_speed",
+        "worst": {trial, seed, the key of `LEADING`, replay}}
     """
     i = worst(r)
     item, key = r.trials.items[i], LEADING[r.trials.task]
@@ -316,6 +327,7 @@ def provenance(r: Result, argv: Sequence[str], named: Sequence[str], k: int) -> 
         "water": solved if r.water == LBM else water_identity(r.robot) | solved,
         "engine": r.engine,
         "held": trials_held(r),
+        "held_by_speed": held_by_speed(r),
         "worst": {"trial": name_of(r, i), "seed": int(item.seed[0]), key: float(figures(r)[key][i]), "replay": replay},
     }
 

@@ -80,6 +80,16 @@ def constants_sha256(robot: Robot) -> str:
     return json_sha256(plain(table))
 
 
+def constants_of(robot: Robot) -> dict[str, float | str]:
+    """The single numbers among the constants of `constants_sha256`, and the names of effects, for the header of a policy."""
+    found: dict[str, float | str] = {f"mass of {link.name}": float(link.mass) for link in robot.links}
+    found |= {f"servo {key}": value for key, value in asdict(robot.servo).items() if key != "range"}
+    found |= {f"timing {key}": value for key, value in asdict(robot.timing).items() if key != "command_path"}
+    found |= {"density_water": robot.density_water}
+    found["effects"] = ", ".join(sorted(effect.name for effect in robot.effects if effect.parameters)) or "none"
+    return {key: value for key, value in plain(found).items() if isinstance(value, int | float | str)}
+
+
 def observation_of(joints: int) -> list[dict]:
     """The observations in their order, each {"name", "unit"}: body frame, as camera and encoders give them."""
     rows = [("target_x", "m"), ("target_y", "m"), ("velocity_x", "m/s"), ("velocity_y", "m/s"), ("yaw_rate", "rad/s")]

@@ -124,8 +124,7 @@ def options() -> console.Parser:
     add("--water", type=console.text, help=choice.HELP)
     hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
     add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
-    drawn = "effects of the catalogue drawn in typical sizes for each episode (default: none)"
-    add("--randomise-effects", type=console.Listed(console.text), metavar="NAME,..", help=drawn)
+    own_effects.drawn_option(p)
     begin = "shipped name, policy file or folder of a training whose network PPO begins with; its widths, memory and command path"
     add("--begin", type=console.text, metavar="POLICY", help=f"{begin} come with it (default: from nothing)")
     own_effects.option(p)

@@ -26,7 +26,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, SimDiverged
 from fishmj.base.source import made_by
 from fishmj.control.policy import Policy
-from fishmj.control.policy_meta import structure_sha256
+from fishmj.control.policy_meta import one_line, structure_sha256
 from fishmj.mjcf.identity import constants_sha256, structure_of
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
@@ -197,7 +197,8 @@ class TrainingRun:
 
     learner: as from `learner_of`, which may be on several devices; a run of one number of devices resumes on another, not to the
         same bits.
-    command: as it was typed, for the header of the policy; a resumed run keeps its first one. None: called from Python.
+    command: as it was typed, for the header of the policy. A run resumed with other steps has its first one and, after "&&", that
+        of the resume. None: called from Python.
     begin: policy whose network is the start of a fresh run, with `settings` from `begin.begin_with`.
     stop_when: predicate on the figures of an `Assessment`; the run ends at the first best assessment that satisfies it.
     """
@@ -394,8 +395,11 @@ class TrainingRun:
         # the fresh state defines the leaves, shapes and dtypes; the key among them makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
         # counts of the run, not of the learner: without them a resumed run would assess and stop at other steps
+        again = self.command
         for name in PROGRESS:
             setattr(self, name, found.meta.get(name, getattr(self, name)))
+        if self.command and again and self.settings.steps != found.meta["settings"]["steps"]:
+            self.command = one_line(f"{self.command} && {again}")
         if (steps := self.settings.steps) <= self.done and steps != found.meta["settings"]["steps"]:
             got = f"got --steps {steps:,} and {self.done:,} are trained already; expected a larger total"
             raise ConfigError(f"{self.folder}: {got}; for {steps:,} more give --steps {self.done + steps}")
