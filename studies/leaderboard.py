@@ -189,7 +189,7 @@ def row_of(name: str, lines: list[dict], engine: str, command: str, options: Cal
         "overall": gather(figures),
         "by_speed": {u: gather({key: figures[key] for key in KEYS_BY_SPEED}, speeds == u) for u in known},
         "command": command,
-        "condition": f"{len(lines)} trials of 60 s, flow {'/'.join(known)} m/s, {CONDITION}, engine {engine}, seeds judge {seeds}",
+        "condition": f"{len(lines)} trials of 60 s, flow {'/'.join(known)} m/s, {CONDITION}, engine {engine}, seeds {seeds}",
     }
 
 

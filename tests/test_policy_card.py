@@ -12,6 +12,7 @@ from fishmj.base.errors import ConfigError, StoreError
 from fishmj.base.store import read_json, sha256
 from fishmj.control.policy import FOLDER, Policy, file_of, shipped
 from fishmj.evaluate.policy_card import POINTS, card_path, make_card, read_card, waters_of
+from fishmj.evaluate.policy_command import _judged, comparison
 from fishmj.water.choice import family_of
 
 TRIALS = "--water structured --engine compiled --speeds 0.1,0.3 --los 0,180 --repeats 2 --duration 31".split()
@@ -64,18 +65,46 @@ def test_worst_trial_is_the_largest_and_its_command_swims_it_again(judged, tmp_p
     assert again["worst"]["rmse_after_arrival"] == pytest.approx(found["rmse_after_arrival"], rel=1e-4)
 
 
-def test_card_says_at_which_speeds_a_policy_does_not_hold(judged):
+def test_card_says_how_many_trials_do_not_hold_at_each_speed(judged):
     path, folder = judged
     found = read_json(folder / "results.json")
     mine = next(row for row in found["results"] if row["controller"] == "mine")
-    lost = lambda: make_card(path, [found]).judged[0].lost_at()
-    for row in mine["by_speed"].values():
-        row["arrival"]["value"], row["rmse_after_arrival"]["value"] = 1.0, 0.05
-    assert lost() == []
-    mine["by_speed"]["0.3"]["rmse_after_arrival"]["value"] = 0.11
-    assert lost() == ["0.3"]
-    mine["by_speed"]["0.1"]["arrival"]["value"] = 0.75
-    assert lost() == ["0.1", "0.3"]
+    trials = [row for row in csv.DictReader((folder / "trials.csv").read_text().splitlines()) if row["controller"] == "mine"]
+    near = lambda row: float(row["arrival"]) > 0 and float(row["rmse_after_arrival"]) <= 0.1
+    assert mine["held_by_speed"] == {u: sum(near(row) for row in trials if row["speed"] == u) for u in ("0.1", "0.3")}
+    assert sum(mine["held_by_speed"].values()) == mine["held"]
+
+    def lost(held, by_speed):
+        mine["held"], mine["held_by_speed"] = held, by_speed
+        judgement = make_card(path, [found]).judged[0]
+        return judgement.lost(), _judged(judgement)["do not hold"]
+
+    assert lost(8, {"0.1": 4, "0.3": 4}) == ({}, "none")
+    assert lost(7, {"0.1": 4, "0.3": 3}) == ({"0.3": (1, 4)}, "0.3 m/s: 1 of 4")
+    assert lost(2, {"0.1": 2, "0.3": 0})[1] == "0.1 m/s: 2 of 4, 0.3 m/s: 4 of 4"
+    assert lost(7, None) == ({"": (1, 8)}, "1 of 8"), "a judgement by an older fishmj"
+    assert lost(8, None)[1] == "none" and lost(None, None)[1] == "not judged"
+
+
+def test_effects_of_a_training_stand_on_the_card_and_are_drawn_on_demand(tmp_path, capsys):
+    path = stored(tmp_path, header(task={"effects": ["coulomb_friction", "tether"]}))
+    assert cli.main(["policy", path]) == 0
+    assert "effects drawn: coulomb_friction, tether\n" in capsys.readouterr().out
+    note, drawn = "effects drawn: coulomb_friction, tether; here none", ["--randomise-effects", "tether,coulomb_friction"]
+    short = "--water structured --engine planar --speeds 0.2 --los 0 --repeats 1 --duration 1".split()
+    judge = lambda name, *more: cli.main(["evaluate", path, "dob", *short, *more, "--out", str(tmp_path / name)])
+    read = lambda name: read_json(tmp_path / name / "results.json")
+    assert judge("plain") == 0
+    out, err = capsys.readouterr()
+    assert f"policy mine: not as trained: {note}\n" in err and f"mine is not judged as trained: {note}" in out
+    assert "effects drawn" in read("plain")["results"][0]["policy"]["differs"] and read("plain")["results"][1]["policy"] is None
+    assert judge("drawn", *drawn) == 0
+    assert "not as trained" not in capsys.readouterr().err
+    assert "effects tether, coulomb_friction drawn" in read("drawn")["condition"]
+    power = lambda name: read(name)["results"][1]["overall"]["power"]["value"]
+    assert power("drawn") != power("plain"), "the effects act"
+    assert judge("none", *drawn, "--no-randomisation") == 2 and "leave one of them out" in capsys.readouterr().err
+    assert judge("none", "--randomise-effects", "nothing") == 2
 
 
 def test_judgement_of_other_weights_makes_no_card(judged):
@@ -151,3 +180,8 @@ def test_policies_are_listed_side_by_side(capsys):
     assert cli.main(["policy"]) == 0
     out = capsys.readouterr().out
     assert all(name in out for name in shipped()) and read_card("station").judged[0].overall["rmse_after_arrival"].text() in out
+
+
+def test_policies_stand_side_by_side_in_the_waters_that_several_have():
+    rows = {row["water"]: row for row in comparison([read_card("station-family"), read_card("station")])}
+    assert len(rows) == 7 and all(row["station"] and row["station-family"] for row in rows.values())

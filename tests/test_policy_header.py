@@ -99,7 +99,8 @@ def test_a_calibrated_fish_of_another_name_is_taken_with_a_note(tmp_path):
     (note,) = control.make(stored(tmp_path, header()), robot).notes
     assert note == (
         "policy mine: not as trained: robot swift, here swift.v2; lengths or reference point off by at most 10 %; "
-        "other masses, sections, servo, timing or effects"
+        "mass of head 0.744, here 0.8184; mass of body1 0.168, here 0.1848; mass of body2 0.102, here 0.1122; "
+        "mass of tail 0.086, here 0.0946; servo kp 8, here 9"
     )
 
 

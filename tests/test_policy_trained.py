@@ -14,6 +14,8 @@ from policy_files import ROBOT, SHORT, header, stored
 from fishmj import control
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
+from fishmj.base.errors import ConfigError
+from fishmj.control.learned import header_of
 from fishmj.control.policy import FOLDER, SHIPPED, Policy, shipped
 from fishmj.control.policy_meta import one_line
 from fishmj.effects.effect_calibration import FittedEffect, Interval
@@ -21,7 +23,7 @@ from fishmj.engines import in_water
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.evaluate.__main__ import options as evaluate_options
 from fishmj.log import read_trial
-from fishmj.mjcf.identity import constants_sha256
+from fishmj.mjcf.identity import constants_of, constants_sha256
 from fishmj.view.play.__main__ import main as play
 from fishmj.view.play.__main__ import options as play_options
 from fishmj.water.water_identity import water_identity
@@ -64,14 +66,37 @@ def structured(**changes):
         (in_water(ROBOT, "swift"), "water structured, here swift"),
         (in_water(ROBOT, "swift-base"), "water structured, here swift-base"),
         (structured(cf=0.5), "water structured (structured a7526ad5), here structured (structured"),
-        (replace(ROBOT, servo=replace(ROBOT.servo, kp=9.0)), "other masses, sections, servo, timing or effects"),
-        (replace(ROBOT, timing=replace(ROBOT.timing, command_latency=0.1)), "other masses, sections, servo, timing or effects"),
-        (replace(ROBOT, effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),)), "other masses"),
+        (replace(ROBOT, servo=replace(ROBOT.servo, kp=9.0)), "servo kp 8, here 9"),
+        (replace(ROBOT, timing=replace(ROBOT.timing, command_latency=0.1)), "timing command_latency 0.06, here 0.1"),
+        (
+            replace(ROBOT, effects=(FittedEffect("coulomb_friction", {"torque": Interval(0.1, 0.1, 0.1)}),)),
+            "effects none, here coulomb",
+        ),
+        (replace(ROBOT, links=(*ROBOT.links[:-1], replace(ROBOT.links[-1], fin_from=0.06))), "other sections, centres of mass"),
+        (
+            replace(ROBOT, links=tuple(replace(k, mass=2 * k.mass) for k in ROBOT.links)),
+            "mass of head 0.744, here 1.488; mass of",
+        ),
     ],
 )
 def test_another_water_or_other_constants_are_one_line(tmp_path, robot, said):
     (note,) = control.make(stored(tmp_path, header()), robot).notes
     assert note.startswith(f"policy mine: not as trained: {said}") and "\n" not in note
+
+
+def test_constants_of_a_robot_of_ones_own_are_compared_by_the_header(tmp_path):
+    other = replace(ROBOT, servo=replace(ROBOT.servo, kp=9.0), timing=replace(ROBOT.timing, velocity_window=4))
+    foreign = header(constants_sha256=constants_sha256(other))
+    said = lambda meta: control.make(stored(tmp_path, meta), ROBOT).notes[0].partition("not as trained: ")[2]
+    assert said(foreign) == "other masses, sections, servo, timing or effects, which is not stored"
+    kept = header_of(other)["constants"]
+    assert kept == constants_of(other) and kept["servo kp"] == 9.0
+    assert said(foreign | {"constants": kept}) == "servo kp 9, here 8; timing velocity_window 4, here 6"
+    many = said(foreign | {"constants": {f"x{i}": i for i in range(99)}})
+    assert many.endswith("more") and many.count(";") == 8
+    for wrong in ([], {"servo kp": [1]}, {"a\nb": 1}, {"servo kp": "x" * 5000}):
+        with pytest.raises(ConfigError, match="constants .* expected"):
+            control.make(stored(tmp_path, foreign | {"constants": wrong}), ROBOT)
 
 
 def test_an_effect_at_its_null_and_a_colour_are_no_other_constants(tmp_path):
@@ -112,7 +137,7 @@ def test_a_live_swim_says_it_and_logs_it(tmp_path, capsys):
     text = (tmp_path / "stiff.toml").read_text(encoding="utf-8")
     (tmp_path / "stiff.toml").write_text(re.sub(r"(?m)^kp = [0-9.]+", "kp = 9.5", text), encoding="utf-8")
     assert console.run(play, [*argv, str(tmp_path / "stiff.toml")]) == console.OK
-    assert capsys.readouterr().err.count("policy paper: not as trained: other masses") == 1
+    assert capsys.readouterr().err.count("policy paper: not as trained: servo kp 8, here 9.5") == 1
     assert "constants" in read_trial(tmp_path / "a").value("policy.differs")
 
 

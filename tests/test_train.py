@@ -165,7 +165,9 @@ def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, t
     with pytest.raises(ConfigError, match="--steps 8,000 and 8,192 are trained already; .* for 8,000 more give --steps 16192"):
         TrainingRun(change(settings, steps=8000), tmp_path, **more)
     longer = TrainingRun(change(settings, steps=10**9), tmp_path, **more)  # only longer: that is allowed
-    assert longer.done == 8192 and longer.command == "fishmj train --preset quick", "the command that began it"
+    assert longer.done == 8192 and longer.command == "fishmj train --preset quick && fishmj train --resume"
+    again = TrainingRun(settings, tmp_path, **more)  # to the same steps: the command that began it says it all
+    assert again.command == "fishmj train --preset quick"
 
 
 @pytest.mark.slow
