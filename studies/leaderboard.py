@@ -14,6 +14,7 @@ import csv
 import json
 import re
 from collections.abc import Callable
+from functools import partial
 from hashlib import sha256 as digest_of
 from pathlib import Path
 from typing import NamedTuple
@@ -159,8 +160,12 @@ def solved(rows: SolverRows) -> dict[str, dict]:
         seed, repeats = int(mine[0].get("seed", 0)), 1 + max(int(line["repeat"]) for line in mine)
         drawn = f"{rows.options} --seed {seed}" if seed else rows.options
         command = f"fishmj evaluate {name} {drawn if repeats == 3 else f'{drawn} --repeats {repeats}'}"
-        found[name] = row_of(name, mine, rows.engine, command, lambda line, drawn=drawn: drawn)
+        found[name] = row_of(name, mine, rows.engine, command, partial(_same, drawn))
     return found
+
+
+def _same(options: str, line: dict) -> str:
+    return options
 
 
 def row_of(name: str, lines: list[dict], engine: str, command: str, options: Callable[[dict], str]) -> dict:

@@ -21,6 +21,7 @@ from fishmj.control.policy import SCHEMA, Policy
 from fishmj.deploy.loop.pilot import PolicyPilot
 from fishmj.evaluate.__main__ import main as evaluate
 from fishmj.log import read_trial
+from fishmj.mjcf.identity import constants_of
 from fishmj.tasks.env import Options, StationHold
 from fishmj.tasks.gym.fish_env import FishEnv, FishVectorEnv
 from fishmj.water.choice import in_water
@@ -60,7 +61,8 @@ def test_the_header_comes_from_the_environment(make, tmp_path):
     policy = Policy.of(make(), turned(layers()), algorithm="mine", seed=np.int64(3), steps=10)
     meta = Policy.load(policy.save(tmp_path / "mine.safetensors")).meta
     trained = header(activation="tanh", algorithm="mine", seed=3, scale=[1, 1, 0.3, 0.3, 1.5, *3 * [0.7], *3 * [4]])
-    assert meta == trained | {"origin": "synthetic", "schema": SCHEMA, "steps": 10}
+    more = {"origin": "synthetic", "schema": SCHEMA, "steps": 10, "constants": constants_of(ROBOT)}
+    assert meta == trained | more
     assert control.make(tmp_path / "mine.safetensors", in_water(ROBOT, "structured")).notes == ()
 
 
