@@ -1,4 +1,4 @@
-"""The bare `python -m fishmj.hydro_fit`: what it solves, what it goes on with, what it says of a preview. All is synthetic."""
+"""The bare `fishmj hydro_fit`: what it solves, what it goes on with, what it says of a preview. All is synthetic."""
 
 import json
 import re

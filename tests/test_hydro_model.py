@@ -166,7 +166,7 @@ def test_a_model_comes_back_as_it_was_saved(tmp_path):
 
 
 def test_a_model_of_another_fish_or_step_is_refused():
-    with pytest.raises(ConfigError, match="fitted for robot 'swift'.*python -m fishmj.hydro_fit"):
+    with pytest.raises(ConfigError, match="fitted for robot 'swift'.*fishmj hydro_fit"):
         made().swimmer(load_robot("tendon_fish"))
     with pytest.raises(ConfigError, match=r"fitted at dt = 0.002 s, the robot steps 0.004 s"):
         made(dt=0.002).swimmer(ROBOT)

@@ -59,7 +59,7 @@ def test_a_fitted_water_belongs_to_the_body_not_to_its_servos():
     servo = replace(FISH, servo=replace(FISH.servo, kp=1.05 * FISH.servo.kp))
     found = chosen(servo)
     assert found.kind == "fitted" and "other servos, masses or timing" in found.said
-    with pytest.raises(ConfigError, match="another body; fit it: python -m fishmj.hydro_fit"):
+    with pytest.raises(ConfigError, match="another body; fit it: fishmj hydro_fit"):
         chosen(longer(FISH), "swift")
     with pytest.raises(ConfigError, match=r"dt = 0.004 s, the robot steps 0.002 s"):
         chosen(replace(FISH, timing=replace(FISH.timing, physics_dt=0.002)), "fitted")

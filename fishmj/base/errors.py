@@ -3,8 +3,11 @@
 Only a bad robot description has several lines, one for each fault in it.
 """
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+
+CLOSE = 0.7  # ratio of `difflib` from which a name is taken for a slip of another
 
 
 class FishmjError(Exception):
@@ -49,12 +52,21 @@ class ResetNeeded(FishmjError, AssertionError):
     """An environment is stepped before its first reset, or after the end of an episode without a new reset."""
 
 
+def meant(text: str, known: Iterable[str]) -> str:
+    """The one of `known` that `text` is a slip of, or the only one of which it is a whole word; "" if none is that close."""
+    folded = {name.lower(): name for name in known}
+    if close := get_close_matches(text.lower(), folded, 1, CLOSE):
+        return folded[close[0]]
+    holding = [name for low, name in folded.items() if text.lower() in re.split(r"[^a-z0-9]+", low)]
+    return holding[0] if text and len(holding) == 1 else ""
+
+
 class UnknownName(FishmjError, KeyError):
     """A task, water, controller, effect or key that does not exist."""
 
     def __init__(self, kind: str, name: str, known, *, near: str = "", more: str = ""):
         known = sorted(str(k) for k in known)
-        near = near or "".join(get_close_matches(str(name), known, 1, 0.5))
+        near = near or meant(str(name), known)
         hint = f" Did you mean {near!r}?" if near else ""
         self.message = f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}.{more}"
         super().__init__(self.message)

@@ -12,12 +12,11 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
-from difflib import get_close_matches
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.errors import ConfigError, UnknownName, meant
 from fishmj.base.names import is_name, nearest
 
 _RANGE = re.compile(r"(\d*\.?\d+) *(?:-|\u2013|:|\.{2,3}|to) *(\d*\.?\d+)")
@@ -31,8 +30,8 @@ def shown(text: str, most: int = SHOWN) -> str:
 
 def unlisted(text: str, known: Sequence[str], listed: str = "") -> str:
     """Message for a value that is none of `known`, with the nearest of them; listed: what there is, in other words."""
-    near = get_close_matches(text, known, 1, 0.5)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    near = meant(text, known)
+    hint = f" Did you mean {near!r}?" if near else ""
     return f"got {shown(text)}.{hint} Known: {listed or ', '.join(known)}"
 
 

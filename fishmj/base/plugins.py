@@ -14,14 +14,13 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable
-from difflib import get_close_matches
 from hashlib import sha256
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from fishmj.base.errors import OwnCodeError, UnknownName
+from fishmj.base.errors import OwnCodeError, UnknownName, meant
 from fishmj.base.names import is_name, nearest
 
 KINDS = ("controller", "task", "effect", "algorithm", "importer", "case")
@@ -184,8 +183,8 @@ def _attribute(module: ModuleType, name: str, what: str) -> Any:
     for part in name.split("."):
         if not hasattr(found, part):
             public = [a for a in dir(found) if not a.startswith("_")]
-            near = get_close_matches(part, public, 1, 0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; it has {', '.join(public[:8]) or 'nothing'}"
+            near = meant(part, public)
+            hint = f"; did you mean {near!r}?" if near else f"; it has {', '.join(public[:8]) or 'nothing'}"
             raise OwnCodeError(f"{what}: {getattr(module, '__file__', module.__name__)} has no {part!r}{hint}")
         found = getattr(found, part)
     return found

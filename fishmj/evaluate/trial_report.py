@@ -23,10 +23,11 @@ from fishmj.base.store import clear, write_text
 from fishmj.engines.hybrid.online_correction import KINDS
 from fishmj.evaluate.metrics import APART, LEADING, MEDIANS, Result, compare, estimate, failed, figures, rms, too_few, too_short
 from fishmj.evaluate.plots import PICTURES
-from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
+from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD, Trials
 from fishmj.evaluate.trial_logs import MARKS, corrections, name_of, trial_of, write_logs
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.identity import said
 from fishmj.water.choice import HYBRID, LBM
 from fishmj.water.water_identity import water_identity
 
@@ -91,9 +92,19 @@ def condition(result: Result) -> str:
     drawn = f", effects {', '.join(t.effects)} drawn" if t.effects else ""
     return (
         f"{len(t)} trials of {t.duration:g} s{course}, flow {speeds} m/s, {t.turbulence_said}, water {result.water}, "
-        f"engine {result.engine}, command path {result.robot.timing.command_path}{step}, start heading {t.heading}, "
+        f"engine {result.engine}, command path {result.robot.timing.command_path}{step}, {start_of(t)}, "
         f"randomisation {switch(t.randomisation)}{drawn}, noise {switch(t.noise)}, seeds {t.box} {t.items[0].seed[0]}{without}"
     )
+
+
+def start_of(trials: Trials) -> str:
+    """Words on the heading at the start: of a course that turns the fish, the angles."""
+    if trials.task == EIGHT:
+        return "start heading along the path"
+    if trials.task != ANGLE:
+        return f"start heading {trials.heading}"
+    angles = sorted(set(np.round(np.degrees(trials.los), 2).tolist()))
+    return f"start heading {'/'.join(f'{angle:g}' for angle in angles)} deg from upstream"
 
 
 def overall(summaries: list[dict], keys=MAIN) -> list[dict]:
@@ -376,8 +387,11 @@ def headline(results: list[Result]) -> str:
 
 
 def baseline(results: list[Result]) -> Result | None:
-    """Result with which the first controller is compared: the one without control if it was judged, else the second."""
-    return next((r for r in results[1:] if r.controller == BASELINE), results[1] if results[1:] else None)
+    """Result with which the first controller is compared: the nearest of the others; the one without control if it is alone."""
+    rivals = [r for r in results[1:] if r.controller != BASELINE] or results[1:]
+    key = LEADING[results[0].trials.task]
+    far = lambda r: np.nan_to_num(estimate(key, figures(r)[key]).value, nan=np.inf)
+    return min(rivals, key=far, default=None)
 
 
 def against(first: Result, other: Result) -> str:
@@ -385,7 +399,7 @@ def against(first: Result, other: Result) -> str:
     key = LEADING[first.trials.task]
     d = next(d for d in compare(first, other) if d.key == key)
     if not d.apart:
-        return f"these trials do not tell it from {other.controller}"
+        return f"in {SHORT[key][0].partition(' [')[0]}, these trials do not tell it from {other.controller}"
     to = "the path" if first.trials.task == EIGHT else "the target"
     side = f"nearer to {to} than" if d.value > 0 else f"farther from {to} than"
     mean = estimate(key, figures(other)[key]).value
@@ -432,4 +446,4 @@ def page(
     heads = "".join(every[0][0])
     meant = [{"figure": key, "meaning": value} for key, value in MEANING.items() if key in heads]
     sections.append(Section("What the figures mean", "", [table(meant, left=2)]))
-    return report(named, headline(results), sections, mark=mark, notes=notes)
+    return report(named, headline(results), sections, mark=mark, robot=said(first.robot), notes=notes)

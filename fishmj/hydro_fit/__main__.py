@@ -88,7 +88,7 @@ def gathered(robot: Robot, args) -> Path:
     ):
         raise DatasetError(
             f"{data.folder}: no test swim of a gait at slip {slip:g} to check a fit by; {_more(data)}, or fit without a check:"
-            " python -m fishmj.hydro_fit fit"
+            " fishmj hydro_fit fit"
         )
     return data.folder
 
@@ -214,8 +214,8 @@ def further_parts(data: SegmentDataset, robot: Robot, slip: float, grid: dict) -
 def _more(data: SegmentDataset) -> str:
     """Hint on how to enlarge a data set that is too small."""
     if missing := data.meta.get("missing", 0):
-        return f"{missing} segments of its plan are missing: the bare python -m fishmj.hydro_fit goes on with them"
-    return "solve more segments: python -m fishmj.hydro_fit collect"
+        return f"{missing} segments of its plan are missing: the bare fishmj hydro_fit goes on with them"
+    return "solve more segments: fishmj hydro_fit collect"
 
 
 def promote(model: HydroModel, folder: Path, *, score: float, standing: float | None) -> tuple[Path, bool]:

@@ -130,6 +130,7 @@ class Robot:
     density_water: float = 1000.0  # kg/m3
     hull: str = field(default="turbulent", repr=False)  # or laminar: its boundary layer, for the flow solver's `wall_stress`
     effects: "tuple[FittedEffect, ...]" = field(default=(), repr=False)  # what calibration added, in the order in which it acts
+    file: str = field(default="", repr=False, compare=False)  # from which it was read; "" if it was built by hand
     notes: tuple[str, ...] = field(default=(), repr=False, compare=False)  # what the reader was told: assumed, or unlikely
 
     @property

@@ -8,7 +8,9 @@ All of these but the water have a hash of their own.
 from collections.abc import Mapping
 from dataclasses import asdict
 from hashlib import sha256
+from pathlib import Path
 
+from fishmj.base.calib import calib_folder
 from fishmj.base.store import json_sha256, plain
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
@@ -20,7 +22,7 @@ def robot_sha256(robot: Robot) -> str:
     The rig is left out: another plug or paint does not make another fish.
     """
     table = asdict(robot)
-    del table["rig"]
+    del table["rig"], table["file"]
     if robot.hull == "turbulent":  # as in hashes from before hulls were stated
         del table["hull"]
     water = table["water"].get("own", table["water"])  # as described, whatever water was chosen (water.choice)
@@ -42,6 +44,27 @@ def identity(robot: Robot) -> dict:
     """Keys of a trial's meta data that identify its robot."""
     hashes = {"robot_sha256": robot_sha256(robot), "body_sha256": body_sha256(robot)}
     return {"robot": robot.name, "joints": robot.n_joints, **hashes}
+
+
+def named(robot: Robot) -> dict[str, str]:
+    """Name, file and hash of a judged robot, for results: {"name", "file", "sha256"}.
+
+    file: of a shipped robot the name under which it is shipped; "" of one that was built by hand.
+    """
+    path = Path(robot.file)
+    file = path.stem if path.parent == calib_folder() else robot.file
+    return {"name": robot.name, "file": file, "sha256": robot_sha256(robot)}
+
+
+def said(robot: Robot) -> str:
+    """The same as a line for the head of a page."""
+    return told(**named(robot))
+
+
+def told(name: str, file: str, sha256: str) -> str:
+    """Line on a robot for the head of a page."""
+    where = f"shipped as {file}" if file and not Path(file).suffix else file or "described in Python"
+    return f"Robot {name}, {where}, sha256 {sha256[:12]}"
 
 
 def another_body(meta: Mapping, robot: Robot) -> bool:

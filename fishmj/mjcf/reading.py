@@ -63,6 +63,7 @@ def robot_from_dict(table: Mapping[str, Any], where: str) -> Robot:
         density_water=float(table.get("body", {}).get("density_water", 1000.0)),
         hull=table.get("body", {}).get("hull", "turbulent"),
         effects=_effects(dict(table), where),
+        file=where,
         notes=tuple(notes),
     )
     return _sound(robot)

@@ -4,13 +4,12 @@ Possible but unlikely values only get a note, and the description is read.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from math import degrees, isfinite, pi, radians
 from typing import Any
 
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
-from fishmj.base.errors import FishmjError
+from fishmj.base.errors import FishmjError, meant
 from fishmj.base.plain_file import why_unreadable
 from fishmj.mjcf.description import COMMAND_PATHS, LIFT_ROUNDED, Servo, Timing
 from fishmj.mjcf.description_schema import KeyFault, shown
@@ -144,8 +143,8 @@ def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]])
         if fin["name"] in names[:i]:
             yield KeyFault("fin", i, "name", shown(fin["name"]), "another name for each fin: they must differ", "rename one")
         if fin["link"] not in lengths:
-            near = get_close_matches(fin["link"], lengths, 1, 0.5)
-            todo = f"did you mean {near[0]!r}?" if near else "name the link that carries the fin"
+            near = meant(fin["link"], lengths)
+            todo = f"did you mean {near!r}?" if near else "name the link that carries the fin"
             yield KeyFault("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
             continue
         if fin["span"] > (most := sum(lengths.values()) / 2):
@@ -338,8 +337,8 @@ def _no_water(model: str) -> KeyFault | None:
         return KeyFault(
             "water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH
         )
-    near = get_close_matches(model, known, 1, 0.5)
-    todo = f"did you mean {near[0]!r}? " if near else ""
+    near = meant(model, known)
+    todo = f"did you mean {near!r}? " if near else ""
     return KeyFault("water", None, "model", shown(model), _WATER, f"{todo}Known: {', '.join(known)}".strip())
 
 
@@ -356,8 +355,8 @@ def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None) -> Itera
     names = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
         if block["name"] not in catalogue():
-            near = get_close_matches(block["name"], catalogue(), 1, 0.5)
-            expected = f"an effect of the catalogue{f', such as {near[0]!r}' if near else ''}"
+            near = meant(block["name"], catalogue())
+            expected = f"an effect of the catalogue{f', such as {near!r}' if near else ''}"
             yield KeyFault("effect", i, "name", shown(block["name"]), expected, "docs/simulate/effects.md lists them all")
             continue
         try:

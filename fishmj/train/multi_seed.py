@@ -53,7 +53,7 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
             episodes, dropped = episodes + table["episodes"].sum(), dropped + table["diverged"].sum()
             if dropped > max(1, MAX_DIVERGED * episodes):
                 message = f"training: {dropped:.0f} of {episodes:.0f} episodes diverged up to step {done:,} and were dropped"
-                raise SimDiverged(f"{message}, more than {MAX_DIVERGED:.1%}: python -m fishmj doctor", term="physics")
+                raise SimDiverged(f"{message}, more than {MAX_DIVERGED:.1%}: fishmj doctor", term="physics")
             seconds = round(time.monotonic() - start, 3)
             for i, lane in enumerate(lanes):
                 lane.board.write(done, {**reported({k: v[i] for k, v in table.items()}), "seconds": seconds})

@@ -351,7 +351,7 @@ class TrainingRun:
         if self.dropped > max(1, most * self.episodes):
             raise SimDiverged(
                 f"training: {self.dropped} of {self.episodes} episodes at step {self.done:,} diverged and were dropped, "
-                f"above {most:.1%}; the physics step is too long or a parameter out of range: python -m fishmj doctor",
+                f"above {most:.1%}; the physics step is too long or a parameter out of range: fishmj doctor",
                 term="physics",
             )
 

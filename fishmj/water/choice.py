@@ -48,7 +48,7 @@ HELP = (
 
 
 NOT_FITTED = "none is fitted for this body"
-FIT_IT = "python -m fishmj.hydro_fit --fish FILE"  # of its description: a shipped robot has a fitted water
+FIT_IT = "fishmj hydro_fit --fish FILE"  # of its description: a shipped robot has a fitted water
 INSTEAD = {
     HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
     LBM: "lbm is for suite.load, `fishmj evaluate` and `fishmj train --engine lbm`",

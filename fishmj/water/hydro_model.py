@@ -204,12 +204,12 @@ class HydroModel:
         if not self.fits_body(robot):
             raise ConfigError(
                 f"water {self.name!r} was fitted for robot {self.robot!r} {(self.body_sha256 or self.robot_sha256)[:12]}, got"
-                f" {robot.name!r} {body_sha256(robot)[:12]}: another body; fit it: python -m fishmj.hydro_fit --fish FILE"
+                f" {robot.name!r} {body_sha256(robot)[:12]}: another body; fit it: fishmj hydro_fit --fish FILE"
             )
         if abs(robot.timing.physics_dt - self.dt) > 1e-9:
             raise ConfigError(
                 f"water {self.name!r}: fitted at dt = {self.dt} s, the robot steps {robot.timing.physics_dt} s; take physics_dt ="
-                f" {self.dt}, --water structured, or fit it: python -m fishmj.hydro_fit --fish FILE"
+                f" {self.dt}, --water structured, or fit it: fishmj hydro_fit --fish FILE"
             )
         return planar_chain.nominal(robot)._replace(water=self.base)
 

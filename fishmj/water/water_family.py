@@ -92,7 +92,7 @@ class WaterFamily:
         fitted = [f"{one.name!r} for robot {one.robot!r} {(one.body_sha256 or one.robot_sha256)[:12]}" for one in members]
         for other, its in zip(members[1:], fitted[1:], strict=True):
             if other.body_sha256 != first.body_sha256:
-                todo = "leave one out, or fit it: python -m fishmj.hydro_fit --fish FILE"
+                todo = "leave one out, or fit it: fishmj hydro_fit --fish FILE"
                 raise ConfigError(f"{where} members: got waters of two bodies, {fitted[0]} and {its}, expected one body; {todo}")
             if other.dt != first.dt:
                 got = f"{first.name!r} fitted at dt = {first.dt} s and {other.name!r} at {other.dt} s"

@@ -86,9 +86,9 @@ def page(template: str, title: str, scripts: Sequence[str] = (), **values: Any) 
 
 
 def report(title: str, heading: str, sections: Iterable[Section], template: str = "report.html", **more: Any) -> str:
-    """A page of sections below a head: `mark` in a box, the heading, `notes`. Everything but `Markup` is plain text."""
+    """A page of sections below a head: `mark` in a box, the heading, the `robot`, `notes`. All but `Markup` is plain text."""
     shown = [s._replace(parts=[part for part in s.parts if part]) for s in sections]
-    given = {"mark": "", "notes": (), **more, "heading": heading, "sections": [s for s in shown if s.parts]}
+    given = {"mark": "", "robot": "", "notes": (), **more, "heading": heading, "sections": [s for s in shown if s.parts]}
     return page(template, title, **given)
 
 

@@ -15,6 +15,7 @@ from fishmj.evaluate.experiments import experiments_report as report
 from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity_of, options_of
 from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentPart, ExperimentSetup, PaperExperiment
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, reference_option
+from fishmj.mjcf import identity
 from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 
@@ -87,9 +88,10 @@ def main(argv: list[str]) -> int:
     with interrupt.keeping(lambda: f"{args.out} holds {sum(len(k.rows) for k in kept.values())} parts; {interrupt.again()}"):
         run_parts(setup, parts, kept)
         finished = [done for name in MODULES if (done := finish(setup, experiment_of(name), kept[name], name in names))]
-        found = {"paper": PAPER, "policy": setup.leader, "condition": notes, "experiments": report.as_json(finished)}
+        found = {"paper": PAPER, "policy": setup.leader, "robot": identity.named(setup.robot), "condition": notes}
+        found |= {"experiments": report.as_json(finished)}
         store.write_json(args.out / "experiments.json", console.plain(found))
-        store.write_text(args.out / "report.html", report.page(finished, setup.leader, notes))
+        store.write_text(args.out / "report.html", report.page(finished, setup.leader, notes, identity.said(setup.robot)))
     for one in finished:
         if one.experiment.name in names:
             console.say("", f"{one.experiment.name}: {one.experiment.about}", console.table(report.rows_of(one)))

@@ -1,7 +1,7 @@
 """Report of the paper's experiments: what the paper reports beside what was measured here."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fishmj.base.pages import Section, figure, part, report, table
 from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentFindings, PaperExperiment
@@ -50,13 +50,12 @@ def sections(every: Iterable[FinishedExperiment]) -> list[Section]:
     return [*made, Section("Other figures of the paper", "Remade by commands of their own.", [table(others, left=2)])]
 
 
-def page(every: Iterable[FinishedExperiment], policy: str, notes: Iterable[str]) -> str:
-    """The report as one HTML text."""
+def page(every: Iterable[FinishedExperiment], policy: str, notes: Iterable[str], robot: str = "") -> str:
+    """The report as one HTML text. robot: as `fishmj.mjcf.identity.said`."""
     every = list(every)
     heading = f"{policy}: {len(every)} of the paper's experiments"
-    return report(
-        f"Experiments of {policy}", heading, sections(every), mark="EXPERIMENTS", notes=(*notes, f"The paper: {PAPER}. {ABOUT}")
-    )
+    head: dict[str, Any] = {"mark": "EXPERIMENTS", "robot": robot, "notes": (*notes, f"The paper: {PAPER}. {ABOUT}")}
+    return report(f"Experiments of {policy}", heading, sections(every), **head)
 
 
 def as_json(every: Iterable[FinishedExperiment]) -> dict:

@@ -1,5 +1,6 @@
 """Angle of attack: the fish starts on its target, turned by -180, -90, 0 or 90 deg from upstream, at 0.2 m/s."""
 
+from collections.abc import Callable
 from dataclasses import fields
 from typing import ClassVar
 
@@ -50,7 +51,15 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
 def asymmetry(one: Row, other: Row) -> np.ndarray:
     """RMS distance (n,) m between tracks and the mirror images of others."""
     off = [read(one[key]) - sign * read(other[key]) for key, sign in (("upstream", 1), ("side", -1))]
-    return np.sqrt(np.nanmean(off[0] ** 2 + off[1] ** 2, 1))
+    square = off[0] ** 2 + off[1] ** 2
+    return np.sqrt(over_known(np.nanmean, square.T))
+
+
+def over_known(middle: Callable, values: np.ndarray) -> np.ndarray:
+    """`middle` (such as np.nanmedian) over axis 0 of (n, m) values; NaN where no row has one."""
+    found, there = np.full(values.shape[1], np.nan), np.isfinite(values).any(0)
+    found[there] = middle(values[:, there], 0)
+    return found
 
 
 def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings:
@@ -66,7 +75,7 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
     off = asymmetry(rows["calm"], rows["mirrored"])
     found.append(compared("distance between mirrored tracks, RMS", "symmetric", off, "m"))
     apart = read(rows["calm"]["figures"]["settling_time"]) - read(rows["mirrored"]["figures"]["settling_time"])
-    found.append(compared("settling time, mirrored pairs", "symmetric", apart, "s"))
+    found.append(compared("difference of settling times, mirrored pairs", "symmetric", apart, "s"))
     return ExperimentFindings(
         found, [(picture(row), "Distance to the target, and tracks seen from it, from the dot to the crosses; upstream is up.")]
     )
@@ -82,7 +91,7 @@ def picture(row: Row) -> bytes:
         some, (above, below) = angles == angle, axes[:, k]
         distance = read(row["distance"])[some]
         above.plot(t, distance.T, color=colour, linewidth=0.5, alpha=0.5)
-        above.plot(t, np.nanmedian(distance, 0), color=colour, linewidth=2.2)
+        above.plot(t, over_known(np.nanmedian, distance), color=colour, linewidth=2.2)
         above.axhline(constant("protocol", "arrival_radius"), color=FAINT, linewidth=1)
         above.set(title=f"{angle:d} deg", xlabel="time [s]", ylim=(0, None), ylabel="distance [m]" if k == 0 else "")
         below.plot(-read(row["side"])[some].T, read(row["upstream"])[some].T, color=colour, linewidth=0.8, alpha=0.7)

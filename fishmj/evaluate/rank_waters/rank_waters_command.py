@@ -139,7 +139,7 @@ def default_model(fish: str) -> str:
     """Fitted water of this fish, or the shipped one. Raises ConfigError: none comes with it."""
     name, known = load_robot(fish).name, shipped()
     if not known:
-        raise ConfigError("rank: no fitted water is shipped with this build; fit one: python -m fishmj.hydro_fit fit")
+        raise ConfigError("rank: no fitted water is shipped with this build; fit one: fishmj hydro_fit fit")
     return name if name in known else known[0]
 
 

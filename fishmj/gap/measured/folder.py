@@ -16,7 +16,7 @@ def trials(name: str) -> dict[str, Trial]:
     if not root:
         raise LogError(
             f"{VARIABLE} is not set; it must name the folder of the measured data. Get a set with"
-            f" python -m fishmj.gap fetch {name} --out DIR/{name} and set {VARIABLE}=DIR"
+            f" fishmj gap fetch {name} --out DIR/{name} and set {VARIABLE}=DIR"
         )
     folder = Path(root) / name
     if not folder.is_dir():

@@ -5,7 +5,7 @@ from pathlib import Path
 from fishmj.base import pages
 from fishmj.base.figures import style
 from fishmj.base.pages import Section, part, table
-from fishmj.base.store import write_text
+from fishmj.base.store import sha256, write_text
 from fishmj.gap.localise.comparison import compared
 from fishmj.gap.localise.robot_localisation import MOTIONS, RobotLocalisation
 from fishmj.gap.report import sections
@@ -14,6 +14,7 @@ from fishmj.gap.report.report_data import ReportData, after, blind, channels, ro
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
+from fishmj.mjcf.identity import told
 
 SET_ON = "Some thresholds were chosen on the logs of one robot. Benchmark of the answers: docs/search/mujoco_robot.md."
 
@@ -24,11 +25,12 @@ def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[s
     c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
     gates = inquiry.gates
     m = ReportData(inquiry, gates, c, place, (), channels(inquiry), rounds(inquiry), blind(inquiry, gates), "")  # type: ignore[arg-type]
-    v = inquiry.verdict
+    v, path = inquiry.verdict, e.model.robot.path
     with style(STYLE):
         shown = [sections.gap(m), _where(place), _torques(m), _each(answers, v), sections.candidates(m)]
         shown += [sections.checks(m, SET_ON), sections.invisible(m), sections.records(m)]
     head = {
+        "robot": told(path.stem, str(path), sha256(path)),
         "synthetic": inquiry.synthetic,
         "value": sections.value(m),
         "meaning": sections.escape_text(sections.meaning(m)),

@@ -21,13 +21,12 @@ value = sign * (cell - zero) * scale * unit; zero is in the file's own unit. `sk
 
 import re
 import tomllib
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from fishmj.base.errors import LogError
+from fishmj.base.errors import LogError, meant
 from fishmj.log import toml
 from fishmj.log.importers.column_units import PARTS, SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
@@ -178,8 +177,8 @@ class ColumnMap(_Strict):
 
 
 def _near(name: str, known) -> str:
-    near = get_close_matches(name, list(known), 1, 0.5)
-    return f"; did you mean {near[0]!r}?" if near else ""
+    near = meant(name, known)
+    return f"; did you mean {near!r}?" if near else ""
 
 
 def read_map(path: Path) -> ColumnMap:

@@ -3,13 +3,12 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from itertools import pairwise, permutations
 
 import numpy as np
 
-from fishmj.base.errors import LogError
+from fishmj.base.errors import LogError, meant
 from fishmj.log import toml
 from fishmj.log.clock_alignment import in_common
 from fishmj.log.importers import header, joint_switches, table_forms
@@ -164,8 +163,8 @@ def _absent(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> str:
         return f"{where}: [tables.{table}]: no file is called {quoted(entry.file)}; {remedy}"
     sheet = max(mine, key=lambda sheet: sum(column in sheet.columns for column in wanted))
     lacking = [column for column in wanted if column not in sheet.columns]
-    near = get_close_matches(lacking[0], list(sheet.columns), 1, 0.5)
-    hint = f"; did you mean {quoted(near[0])}?" if near else ""
+    near = meant(lacking[0], sheet.columns)
+    hint = f"; did you mean {quoted(near)}?" if near else ""
     has = ", ".join(bare(c) for c in list(sheet.columns)[:12])
     return f"{sheet.where}: [tables.{table}]: no column {', '.join(map(quoted, lacking[:4]))}{hint}; it has {has}; {remedy}"
 

@@ -1,4 +1,4 @@
-"""Default segments of the bare `python -m fishmj.hydro_fit`: those at hand, else those that can be solved here.
+"""Default segments of the bare `fishmj hydro_fit`: those at hand, else those that can be solved here.
 
 | data set | here | solved segments |
 |---|---|---|
@@ -155,7 +155,7 @@ def preview_box(robot: Robot) -> Domain:
             return box
     raise ConfigError(
         f"{robot.name} is {robot.length:g} m long and fits none of the boxes {', '.join(PREVIEW_BOXES)} with its margin;"
-        " collect its segments yourself (python -m fishmj.hydro_fit collect --domain paper) and name them with --data"
+        " collect its segments yourself (fishmj hydro_fit collect --domain paper) and name them with --data"
     )
 
 
