@@ -1,5 +1,6 @@
 """The command line: exit codes, one JSON object last, progress, tables."""
 
+import argparse
 import io
 import json
 import math
@@ -11,7 +12,7 @@ import pytest
 
 from fishmj import cli
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, UsageError
+from fishmj.base.errors import ConfigError, UnknownName, UsageError, meant
 
 
 def json_last(text: str):
@@ -298,3 +299,21 @@ def test_closed_pipe_ends_no_work(tmp_path):
         out = tmp_path / str(answer)
         done = subprocess.run(["bash", "-c", line, sys.executable, code, out, str(answer)], capture_output=True, check=False)
         assert (done.returncode, out.read_text(), done.stderr) == (expected, "whole", b"")
+
+
+@pytest.mark.parametrize(
+    "given, near",
+    {
+        "trian": "train", "Evaluate": "evaluate", "heading": "heading_marker_offset", "nonsense": "", "": "",
+        "friction": "", "evaluation": "evaluate",
+    }.items(),
+)  # fmt: skip
+def test_only_a_close_name_is_suggested(given, near):
+    known = ["train", "evaluate", "rheotaxis", "heading_marker_offset", "joint_sensor_delay", "coulomb_friction", "viscous_friction"]
+    assert meant(given, known) == near
+    told, listed = str(UnknownName("thing", given, known)), console.OneOf(known)
+    assert ("Did you mean" in told) == bool(near) and "joint_sensor_delay" in told
+    if given not in known:
+        with pytest.raises(argparse.ArgumentTypeError) as refused:
+            listed(given)
+        assert ("Did you mean" in str(refused.value)) == bool(near)

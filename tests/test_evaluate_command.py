@@ -163,17 +163,20 @@ def test_report_without_replay_names_worst_trial_and_command_to_show_it(capsys, 
     assert '<a href="worst.html">' in (tmp_path / "a b" / "report.html").read_text(encoding="utf-8")
 
 
-def test_the_headline_has_one_baseline_no_control_where_that_was_judged(engine):
+def test_the_headline_compares_with_the_best_rival_and_with_no_control_alone(engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 60, 120, 180, 240, 300], repeats=1, duration=30)
     pd, drift = (evaluate.run(name, ROBOT, trials, engine) for name in ("pd", "drift"))
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
     means = [metrics.figures(r)["rmse_after_arrival"].mean() for r in (pd, drift, far)]
-    said = trial_report.headline([pd, far, drift])
-    nearer = f"{means[1] - means[0]:.3f} m nearer to the target than drift (no control, {means[1]:.3f} m)."
-    assert said.endswith(f"at {means[0]:.3f} m RMS on average; {nearer}")
+    worse = pd._replace(controller="worse", distance=pd.distance + 0.6)
+    nearer = f"{means[2] - means[0]:.3f} m nearer to the target than far ({means[2]:.3f} m)."
+    for order in ([pd, worse, drift, far], [pd, drift, far, worse]):
+        assert trial_report.headline(order).endswith(f"at {means[0]:.3f} m RMS on average; {nearer}")
+    passive = f"{means[1] - means[0]:.3f} m nearer to the target than drift (no control, {means[1]:.3f} m)."
+    assert trial_report.headline([pd, drift]).endswith(passive)
     found = {"condition": "c", "results": [evaluate.summary(r) for r in (pd, far, drift)], "paired": []}
     head = lead_of(trial_report.page([pd, far, drift], found, []))
-    assert f"Against far: {means[2] - means[0]:.3f} m nearer to the target than far ({means[2]:.3f} m)." in head
+    assert f"Against drift: {passive}" in head and nearer in head
     alone = lead_of(trial_report.page([pd], found | {"results": found["results"][:1]}, []))
     assert "Judged alone. Name drift (no control)" in alone and "Against" not in alone
 
@@ -181,7 +184,9 @@ def test_the_headline_has_one_baseline_no_control_where_that_was_judged(engine):
 def test_headline_reports_inconclusive_comparisons_and_too_short_trials(engine):
     trials = evaluate.trials(speeds=[0.2], los_deg=[0, 60, 120, 180, 240, 300], repeats=1, duration=30)
     pd = evaluate.run("pd", ROBOT, trials, engine)
-    assert "these trials do not tell it from twin" in trial_report.headline([pd, pd._replace(controller="twin")])
+    assert "; in rmse after, these trials do not tell it from twin." in trial_report.headline(
+        [pd, pd._replace(controller="twin")]
+    )
     far = pd._replace(controller="far", distance=pd.distance + 0.3)
     assert "m farther from the target than pd" in trial_report.headline([far, pd])
     assert "of 6 trials and holds station in 0 (" in trial_report.headline([far])

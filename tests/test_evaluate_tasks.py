@@ -99,10 +99,18 @@ def test_report_of_a_task_names_it_and_has_its_own_columns(tmp_path):
     )
     page = (tmp_path / "report.html").read_text()
     assert "FIGURE EIGHT" in page and "0.000 m RMS from the path" in page and "cross-track" in page
+    assert "Robot swift, shipped as fish, sha256 " in page.split("</header>")[0]
+    assert "start heading along the path" in page
     assert (tmp_path / "path.png").is_file() and not (tmp_path / "radar.png").exists()
     assert "cross_track" in (tmp_path / "trials.csv").read_text().splitlines()[0]
     log = trial_logs.trial_of(two[0], 0)
     assert len(log.table("target")["t"]) == 305 and log.table("target")["x"].max() == pytest.approx(0.5, abs=1e-3)
+
+
+def test_condition_of_an_angle_of_attack_says_the_angles():
+    trials = evaluate.trials(task="angle_of_attack", los_deg=[180, -90.5], repeats=2)
+    assert trial_report.start_of(trials) == "start heading -90.5/180 deg from upstream"
+    assert trial_report.start_of(evaluate.trials(heading="uniform")) == "start heading uniform"
 
 
 def test_command_judges_a_task_and_refuses_what_it_does_not_have(capsys):

@@ -38,7 +38,7 @@ from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity
 from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentSetup
 from fishmj.evaluate.run_trials import fingerprint, judge_in_solver
 from fishmj.lbm_oracle.run.solver_water import PLAIN
-from fishmj.mjcf.identity import structure_of
+from fishmj.mjcf.identity import named, structure_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 from fishmj.water.flow import sample, stack
@@ -185,6 +185,16 @@ def test_mirrored_trials_give_mirrored_swims_of_a_symmetric_controller(tmp_path)
     assert np.abs(read(rows[0]["side"])).max() > 0.01, "joint zeros and starts turn the fish"
     assert initial_angle.asymmetry(*rows) == pytest.approx(0, abs=2e-3)
     assert initial_angle.asymmetry(rows[0], rows[0])[1] > 0.01, "a swim is not its own mirror image"
+
+
+@pytest.mark.filterwarnings("error")
+def test_fish_that_all_leave_give_no_warning_and_no_figure():
+    holes = np.full((2, 4, 3), np.nan)
+    holes[:, 0] = 0.1
+    rows = [dict.fromkeys(("upstream", "side"), rounded(one, 3)) for one in holes]
+    assert initial_angle.asymmetry(*rows)[0] == 0 and np.isnan(initial_angle.asymmetry(*rows)[1:]).all()
+    median = initial_angle.over_known(np.nanmedian, np.array([[1.0, np.nan], [3.0, np.nan]]))
+    assert median[0] == 2 and np.isnan(median[1])
 
 
 def test_fish_on_the_figure_eight_has_no_error_at_any_arc_length():
@@ -409,7 +419,9 @@ def test_command_reports_and_continues_with_the_parts_that_are_there(tmp_path, c
     assert code == 0 and "run before" not in err and told["policy"] == "dob"
     first = told["experiments"]["approach"]["compared"][0]
     assert first["what"] == "approach time, downstream" and first["paper"] == "at most 5 s" and first["n"] == 8
-    assert "at most 5 s" in (tmp_path / "report.html").read_text()
+    page, robot = (tmp_path / "report.html").read_text(), told["robot"]
+    assert "at most 5 s" in page and f"Robot swift, shipped as fish, sha256 {robot['sha256'][:12]}<" in page.split("</header>")[0]
+    assert robot == named(ROBOT) | {"file": "fish"}
     path = tmp_path / "approach.jsonl"
     whole = path.read_text()
     path.write_text(whole.splitlines()[0] + "\n")  # interrupted after the first part

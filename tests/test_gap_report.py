@@ -237,6 +237,7 @@ def test_each_of_the_five_answers_has_its_page(inquiry, material, answer):
     asked = dataclasses.replace(inquiry, verdict=dataclasses.replace(v, answer=answer, **changed))
     shown = dataclasses.replace(material, inquiry=asked)
     text = html(shown)
+    assert "Robot swift, shipped as fish, sha256 " in text.split("</header>")[0]
     assert f'class="mark">{answer}<' in text and headline(asked.verdict) in text and text.count('class="on"') == 1
     if answer == "CLASS":
         assert "or joint sensor delay" in text and "the body lags too" in text, "what separates them comes from the catalogue"
