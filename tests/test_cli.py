@@ -309,7 +309,7 @@ def test_closed_pipe_ends_no_work(tmp_path):
     }.items(),
 )  # fmt: skip
 def test_only_a_close_name_is_suggested(given, near):
-    known = ["train", "evaluate", "rheotaxis", "heading_marker_offset", "joint_sensor_delay", "coulomb_friction", "viscous_friction"]
+    known = ["train", "evaluate", "heading_marker_offset", "joint_sensor_delay", "coulomb_friction", "viscous_friction"]
     assert meant(given, known) == near
     told, listed = str(UnknownName("thing", given, known)), console.OneOf(known)
     assert ("Did you mean" in told) == bool(near) and "joint_sensor_delay" in told

@@ -353,6 +353,7 @@ def test_tables_need_no_robot_and_know_which_it_was(tmp_path, monkeypatch, capsy
     trained = found["results"][0]["policy"]
     assert trained["robot"] == "swift" and "seed" in trained and "water" not in trained["differs"]
     assert [r["controller"] for r in found["results"]] == ["station, robot"] and "no comparison with other waters: scipy" in err
+    assert found["robot"]["name"] == "swift" and "Robot swift, shipped as fish" in (tmp_path / "s" / "report.html").read_text()
     assert "on the robot in its tank" in found["condition"] and "fishmj replay" in (tmp_path / "s" / "report.html").read_text()
     assert (tmp_path / "s" / "trials" / "manifest.json").is_file() and found["missing"] == []
     with pytest.raises(ConfigError, match="simulated = False, here True"):

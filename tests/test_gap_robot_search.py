@@ -1,6 +1,7 @@
 """Searches of an arm in MJCF from its logs to the answer. All logs are *synthetic*."""
 
 import json
+import re
 from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
@@ -200,5 +201,6 @@ def test_interrupted_search_goes_on_with_its_null_runs_and_torques(folder, arm, 
 def test_page_shows_the_answer(sticky, tmp_path):
     write_robot_page(sticky, place_of(sticky), by_effect(sticky.verdict), tmp_path)
     page = (tmp_path / "report.html").read_text()
+    assert re.search(r"Robot \S+, \S+, sha256 [0-9a-f]{12}<", page.split("</header>")[0])
     assert "the same figures as JSON: verdict.json" in page
     assert "Missing: Coulomb friction at elbow" in page and "Torques that the model does not explain" in page
