@@ -12,7 +12,7 @@ import pytest
 
 from fishmj import cli
 from fishmj.base import console
-from fishmj.base.errors import ConfigError, UnknownName, UsageError, meant
+from fishmj.base.errors import ConfigError, UnknownName, UsageError, closest_name
 
 
 def json_last(text: str):
@@ -310,7 +310,7 @@ def test_closed_pipe_ends_no_work(tmp_path):
 )  # fmt: skip
 def test_only_a_close_name_is_suggested(given, near):
     known = ["train", "evaluate", "heading_marker_offset", "joint_sensor_delay", "coulomb_friction", "viscous_friction"]
-    assert meant(given, known) == near
+    assert closest_name(given, known) == near
     told, listed = str(UnknownName("thing", given, known)), console.OneOf(known)
     assert ("Did you mean" in told) == bool(near) and "joint_sensor_delay" in told
     if given not in known:

@@ -52,7 +52,7 @@ class ResetNeeded(FishmjError, AssertionError):
     """An environment is stepped before its first reset, or after the end of an episode without a new reset."""
 
 
-def meant(text: str, known: Iterable[str]) -> str:
+def closest_name(text: str, known: Iterable[str]) -> str:
     """The one of `known` that `text` is a slip of, or the only one of which it is a whole word; "" if none is that close."""
     folded = {name.lower(): name for name in known}
     if close := get_close_matches(text.lower(), folded, 1, CLOSE):
@@ -66,7 +66,7 @@ class UnknownName(FishmjError, KeyError):
 
     def __init__(self, kind: str, name: str, known, *, near: str = "", more: str = ""):
         known = sorted(str(k) for k in known)
-        near = near or meant(str(name), known)
+        near = near or closest_name(str(name), known)
         hint = f" Did you mean {near!r}?" if near else ""
         self.message = f"unknown {kind} {name!r}.{hint} Known: {', '.join(known)}.{more}"
         super().__init__(self.message)

@@ -16,7 +16,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from fishmj.base.errors import ConfigError, UnknownName, meant
+from fishmj.base.errors import ConfigError, UnknownName, closest_name
 from fishmj.base.names import is_name, nearest
 
 _RANGE = re.compile(r"(\d*\.?\d+) *(?:-|\u2013|:|\.{2,3}|to) *(\d*\.?\d+)")
@@ -30,7 +30,7 @@ def shown(text: str, most: int = SHOWN) -> str:
 
 def unlisted(text: str, known: Sequence[str], listed: str = "") -> str:
     """Message for a value that is none of `known`, with the nearest of them; listed: what there is, in other words."""
-    near = meant(text, known)
+    near = closest_name(text, known)
     hint = f" Did you mean {near!r}?" if near else ""
     return f"got {shown(text)}.{hint} Known: {listed or ', '.join(known)}"
 

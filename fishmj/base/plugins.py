@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from fishmj.base.errors import OwnCodeError, UnknownName, meant
+from fishmj.base.errors import OwnCodeError, UnknownName, closest_name
 from fishmj.base.names import is_name, nearest
 
 KINDS = ("controller", "task", "effect", "algorithm", "importer", "case")
@@ -183,7 +183,7 @@ def _attribute(module: ModuleType, name: str, what: str) -> Any:
     for part in name.split("."):
         if not hasattr(found, part):
             public = [a for a in dir(found) if not a.startswith("_")]
-            near = meant(part, public)
+            near = closest_name(part, public)
             hint = f"; did you mean {near!r}?" if near else f"; it has {', '.join(public[:8]) or 'nothing'}"
             raise OwnCodeError(f"{what}: {getattr(module, '__file__', module.__name__)} has no {part!r}{hint}")
         found = getattr(found, part)

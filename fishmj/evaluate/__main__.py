@@ -19,7 +19,7 @@ from fishmj.lbm_oracle.run.domain import EVERY as BOXES
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN, asked_for, boundary_option, reference_option
 from fishmj.mjcf.description import COMMAND_PATHS
-from fishmj.mjcf.identity import named
+from fishmj.mjcf.identity import robot_names
 from fishmj.mjcf.reading import load_robot, with_timing
 from fishmj.tasks.station_hold import whole_steps
 from fishmj.water import choice
@@ -317,7 +317,7 @@ def findings(results: list[Result], args) -> dict:
     a, corrected = results[0], {r.controller: corrections(r) for r in results if r.corrections is not None}
     return {
         "condition": trial_report.condition(a),
-        "robot": named(a.robot),
+        "robot": robot_names(a.robot),
         **({"left_out": list(a.left_out)} if a.left_out else {}),
         "command": shlex.join(["fishmj", "evaluate", *args.argv]),
         "results": [summary(r) | trial_report.provenance(r, args.argv, args.controllers, k) for k, r in enumerate(results)],

@@ -27,7 +27,7 @@ from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD, Trials
 from fishmj.evaluate.trial_logs import MARKS, corrections, name_of, trial_of, write_logs
 from fishmj.log import Trial
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import said
+from fishmj.mjcf.identity import robot_line
 from fishmj.water.choice import HYBRID, LBM
 from fishmj.water.water_identity import water_identity
 
@@ -446,4 +446,4 @@ def page(
     heads = "".join(every[0][0])
     meant = [{"figure": key, "meaning": value} for key, value in MEANING.items() if key in heads]
     sections.append(Section("What the figures mean", "", [table(meant, left=2)]))
-    return report(named, headline(results), sections, mark=mark, robot=said(first.robot), notes=notes)
+    return report(named, headline(results), sections, mark=mark, robot=robot_line(first.robot), notes=notes)

@@ -46,7 +46,7 @@ def identity(robot: Robot) -> dict:
     return {"robot": robot.name, "joints": robot.n_joints, **hashes}
 
 
-def named(robot: Robot) -> dict[str, str]:
+def robot_names(robot: Robot) -> dict[str, str]:
     """Name, file and hash of a judged robot, for results: {"name", "file", "sha256"}.
 
     file: of a shipped robot the name under which it is shipped; "" of one that was built by hand.
@@ -56,13 +56,13 @@ def named(robot: Robot) -> dict[str, str]:
     return {"name": robot.name, "file": file, "sha256": robot_sha256(robot)}
 
 
-def said(robot: Robot) -> str:
-    """The same as a line for the head of a page."""
-    return told(**named(robot))
-
-
-def told(name: str, file: str, sha256: str) -> str:
+def robot_line(robot: Robot) -> str:
     """Line on a robot for the head of a page."""
+    return robot_line_of(**robot_names(robot))
+
+
+def robot_line_of(name: str, file: str, sha256: str) -> str:
+    """The same by name, file and hash."""
     where = f"shipped as {file}" if file and not Path(file).suffix else file or "described in Python"
     return f"Robot {name}, {where}, sha256 {sha256[:12]}"
 

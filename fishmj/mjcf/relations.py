@@ -9,7 +9,7 @@ from typing import Any
 
 from fishmj.base import calib, names
 from fishmj.base.calib import constant
-from fishmj.base.errors import FishmjError, meant
+from fishmj.base.errors import FishmjError, closest_name
 from fishmj.base.plain_file import why_unreadable
 from fishmj.mjcf.description import COMMAND_PATHS, LIFT_ROUNDED, Servo, Timing
 from fishmj.mjcf.description_schema import KeyFault, shown
@@ -143,7 +143,7 @@ def _fins(fins: Sequence[Mapping[str, Any]], links: Sequence[Mapping[str, Any]])
         if fin["name"] in names[:i]:
             yield KeyFault("fin", i, "name", shown(fin["name"]), "another name for each fin: they must differ", "rename one")
         if fin["link"] not in lengths:
-            near = meant(fin["link"], lengths)
+            near = closest_name(fin["link"], lengths)
             todo = f"did you mean {near!r}?" if near else "name the link that carries the fin"
             yield KeyFault("fin", i, "link", shown(fin["link"]), f"a link that exists: {', '.join(lengths)}", todo)
             continue
@@ -337,7 +337,7 @@ def _no_water(model: str) -> KeyFault | None:
         return KeyFault(
             "water", None, "model", f"{shown(model)}, which {wrong}".replace("which no such", "no such"), _WATER, _PATH
         )
-    near = meant(model, known)
+    near = closest_name(model, known)
     todo = f"did you mean {near!r}? " if near else ""
     return KeyFault("water", None, "model", shown(model), _WATER, f"{todo}Known: {', '.join(known)}".strip())
 
@@ -355,7 +355,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None) -> Itera
     names = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
         if block["name"] not in catalogue():
-            near = meant(block["name"], catalogue())
+            near = closest_name(block["name"], catalogue())
             expected = f"an effect of the catalogue{f', such as {near!r}' if near else ''}"
             yield KeyFault("effect", i, "name", shown(block["name"]), expected, "docs/simulate/effects.md lists them all")
             continue

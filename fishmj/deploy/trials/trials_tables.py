@@ -28,7 +28,7 @@ from fishmj.evaluate.protocol import MeasuredTrials, Trials, measured
 from fishmj.log import Trial, read_trial, stacked
 from fishmj.log.trial_folder import META_FILE
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.identity import named
+from fishmj.mjcf.identity import robot_names
 from fishmj.water.flow_map.flow_map import TankWater, preset_for
 
 TANK, LOOPBACK = "tank", "loopback"
@@ -226,7 +226,7 @@ def written(
     from fishmj.evaluate import trial_report
 
     lacks: list[str] = []
-    found: dict[str, Any] = {"condition": condition(results[0], notes), "robot": named(results[0].robot)}
+    found: dict[str, Any] = {"condition": condition(results[0], notes), "robot": robot_names(results[0].robot)}
     found["results"] = [metrics.summary(r) for r in results]
     try:
         pairs = [

@@ -88,10 +88,10 @@ def main(argv: list[str]) -> int:
     with interrupt.keeping(lambda: f"{args.out} holds {sum(len(k.rows) for k in kept.values())} parts; {interrupt.again()}"):
         run_parts(setup, parts, kept)
         finished = [done for name in MODULES if (done := finish(setup, experiment_of(name), kept[name], name in names))]
-        found = {"paper": PAPER, "policy": setup.leader, "robot": identity.named(setup.robot), "condition": notes}
+        found = {"paper": PAPER, "policy": setup.leader, "robot": identity.robot_names(setup.robot), "condition": notes}
         found |= {"experiments": report.as_json(finished)}
         store.write_json(args.out / "experiments.json", console.plain(found))
-        store.write_text(args.out / "report.html", report.page(finished, setup.leader, notes, identity.said(setup.robot)))
+        store.write_text(args.out / "report.html", report.page(finished, setup.leader, notes, identity.robot_line(setup.robot)))
     for one in finished:
         if one.experiment.name in names:
             console.say("", f"{one.experiment.name}: {one.experiment.about}", console.table(report.rows_of(one)))

@@ -51,7 +51,7 @@ def sections(every: Iterable[FinishedExperiment]) -> list[Section]:
 
 
 def page(every: Iterable[FinishedExperiment], policy: str, notes: Iterable[str], robot: str = "") -> str:
-    """The report as one HTML text. robot: as `fishmj.mjcf.identity.said`."""
+    """The report as one HTML text. robot: as `fishmj.mjcf.identity.robot_line`."""
     every = list(every)
     heading = f"{policy}: {len(every)} of the paper's experiments"
     head: dict[str, Any] = {"mark": "EXPERIMENTS", "robot": robot, "notes": (*notes, f"The paper: {PAPER}. {ABOUT}")}

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base.calib import shown_path
-from fishmj.base.errors import LogError, meant
+from fishmj.base.errors import LogError, closest_name
 from fishmj.gap.measured.folder import trials
 from fishmj.gap.measured.study_schema import COLUMNS, StudyInput
 from fishmj.log import Trial
@@ -146,7 +146,7 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
 def _cells(sheet: Sheet, column: str, key: str, unit: str) -> np.ndarray:
     """Cells of one column of a file; its unit must match the study's."""
     if column not in sheet.columns:
-        near = meant(column, sheet.columns)
+        near = closest_name(column, sheet.columns)
         hint = f"; did you mean {quoted(near)}?" if near else ""
         names = ", ".join(quoted(n, 24) for n in list(sheet.columns)[:12])
         raise LogError(f"{sheet.where}: no column {quoted(column)}, which [columns] {key} names{hint}; the file has {names}")

@@ -14,7 +14,7 @@ from fishmj.gap.search.fit import Candidate, limiting
 from fishmj.gap.thresholds import Gates
 from fishmj.gap.wording import quantity, title
 from fishmj.gap.workflow import Inquiry
-from fishmj.mjcf.identity import named
+from fishmj.mjcf.identity import robot_names
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def plain(m: ReportData) -> dict:
     used = zip(m.inquiry.records, record_parts(m.inquiry), strict=True)
     page = {
         "verdict": m.inquiry.verdict.plain(),
-        "robot": named(m.inquiry.evidence.model.robot),
+        "robot": robot_names(m.inquiry.evidence.model.robot),
         "notes": list(m.inquiry.notes),
         "records": [{"name": r.name, "excitation": r.excitation, "part": part} for r, part in used],
         "gap": {"before": (pair := gap_of(m))[0], "after": pair[1], "allowed": m.gates.adequacy, "by_channel": m.channels},

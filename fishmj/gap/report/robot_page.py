@@ -14,7 +14,7 @@ from fishmj.gap.report.report_data import ReportData, after, blind, channels, ro
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
-from fishmj.mjcf.identity import told
+from fishmj.mjcf.identity import robot_line_of
 
 SET_ON = "Some thresholds were chosen on the logs of one robot. Benchmark of the answers: docs/search/mujoco_robot.md."
 
@@ -30,7 +30,7 @@ def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[s
         shown = [sections.gap(m), _where(place), _torques(m), _each(answers, v), sections.candidates(m)]
         shown += [sections.checks(m, SET_ON), sections.invisible(m), sections.records(m)]
     head = {
-        "robot": told(path.stem, str(path), sha256(path)),
+        "robot": robot_line_of(path.stem, str(path), sha256(path)),
         "synthetic": inquiry.synthetic,
         "value": sections.value(m),
         "meaning": sections.escape_text(sections.meaning(m)),

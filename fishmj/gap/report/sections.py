@@ -20,7 +20,7 @@ from fishmj.gap.terms.stronger import is_outdone
 from fishmj.gap.thresholds import residual_allowed, thresholds
 from fishmj.gap.verdict import LIKELIHOOD, UP_TO, Verdict, missed_words
 from fishmj.gap.wording import level, number, percent, quantity, sentence, sizes, title
-from fishmj.mjcf.identity import said
+from fishmj.mjcf.identity import robot_line
 
 NOTHING = Section("", "", ())
 UNMET, ACCEPTED = "not met; continued", "an effect was accepted"
@@ -40,7 +40,7 @@ def html(m: ReportData) -> str:
     }
     made = f"gap find · {len(e.records)} records in the search, {e.runs} null runs of each"
     head |= {"figures": figures(m), "contract": CONTRACT, "made": made, "json": "report.json"}
-    return pages.report(headline(v), headline(v), sections, "gap.html", mark=v.answer, robot=said(e.model.robot), **head)
+    return pages.report(headline(v), headline(v), sections, "gap.html", mark=v.answer, robot=robot_line(e.model.robot), **head)
 
 
 def value(m: ReportData) -> str:

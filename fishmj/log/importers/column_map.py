@@ -26,7 +26,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from fishmj.base.errors import LogError, meant
+from fishmj.base.errors import LogError, closest_name
 from fishmj.log import toml
 from fishmj.log.importers.column_units import PARTS, SI, UNITS, measures, unit_of
 from fishmj.log.importers.sheet import DATE
@@ -177,7 +177,7 @@ class ColumnMap(_Strict):
 
 
 def _near(name: str, known) -> str:
-    near = meant(name, known)
+    near = closest_name(name, known)
     return f"; did you mean {near!r}?" if near else ""
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 
-from fishmj.base.errors import LogError, meant
+from fishmj.base.errors import LogError, closest_name
 from fishmj.log import toml
 from fishmj.log.clock_alignment import in_common
 from fishmj.log.importers import header, joint_switches, table_forms
@@ -163,7 +163,7 @@ def _absent(table: str, entry: TableMap, sheets: Sequence[Sheet]) -> str:
         return f"{where}: [tables.{table}]: no file is called {quoted(entry.file)}; {remedy}"
     sheet = max(mine, key=lambda sheet: sum(column in sheet.columns for column in wanted))
     lacking = [column for column in wanted if column not in sheet.columns]
-    near = meant(lacking[0], sheet.columns)
+    near = closest_name(lacking[0], sheet.columns)
     hint = f"; did you mean {quoted(near)}?" if near else ""
     has = ", ".join(bare(c) for c in list(sheet.columns)[:12])
     return f"{sheet.where}: [tables.{table}]: no column {', '.join(map(quoted, lacking[:4]))}{hint}; it has {has}; {remedy}"
