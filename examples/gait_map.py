@@ -1,6 +1,6 @@
 """What the prior coefficients of the strip water give. Synthetic: literature values, fitted to no flow.
 
-python examples/gait_map.py [PICTURE]     swimming, turning, tow drag, added mass; the picture; five seconds
+python examples/gait_map.py [PICTURE]     swimming, turning, tow drag, added mass; the picture; 25 s of CPU
 python examples/gait_map.py --steps       the speed against the physics step, 0.5 to 8 ms
 """
 
@@ -17,7 +17,7 @@ CHAIN, FISH, DEG = planar_chain.chain_of(mjcf.load_robot("fish")), planar_chain.
 STILL = [(0.0, 0.0)] * CHAIN.n
 
 
-def swim(hertz, degrees, lag, bias=0.0, dt=CHAIN.dt, seconds=12.0, tail=4.0):
+def swim(hertz, degrees, lag, bias=0.0, dt=CHAIN.dt, seconds=40.0, tail=4.0):
     """Broadcast gaits [Hz, deg]: speed along the path [m/s], yaw rate [deg/s], servo power [W] over the last `tail` s."""
     hertz, degrees, lag, bias = np.broadcast_arrays(*(np.asarray(a, float) for a in (hertz, degrees, lag, bias)))
     rest, ch, rows = np.zeros(hertz.shape), CHAIN._replace(dt=dt), []
@@ -34,7 +34,7 @@ def swim(hertz, degrees, lag, bias=0.0, dt=CHAIN.dt, seconds=12.0, tail=4.0):
 
 if "--steps" in sys.argv:
     for dt in (0.0005, 0.001, 0.002, 0.004, 0.008):
-        print(f"step {dt * 1e3:3.1f} ms: lag 60 deg %.4f m/s, in phase %.4f m/s" % tuple(swim(1.0, 30, [60, 0], dt=dt)[0]))
+        print(f"step {dt * 1e3:3.1f} ms: lag 60 deg %.4f m/s, in phase %.4f m/s" % tuple(swim(1.0, 30, [60, 0], dt=dt, seconds=12.0)[0]))
     sys.exit()
 hertz, bias = np.arange(0.25, 2.01, 0.25), np.array([10.0, 20.0, 30.0])
 (wave, phase), _, (watts, watts_phase) = swim(hertz, 30, [[60], [0]])

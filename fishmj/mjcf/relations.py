@@ -25,6 +25,7 @@ LONG, HEAVY = (0.05, 3.0), (0.01, 300.0)  # m, kg: of robotic fish
 WIDTHS = (0.8, 1.25)  # factor on the widths that lets the fish float
 CHARGED = 0.5  # of the servos' voltage: a battery that counts as low only below it is never low
 JUMP = 2.0  # times, of heights at a hinge
+SWIFT = 30.0  # rad/s, of a servo's output: most turn freely at 4 to 12 rad/s, and a typed speed above this is one in rpm
 MOTOR = 3.0  # times: figures of one motor that differ by more do not belong together
 
 
@@ -444,7 +445,11 @@ def _unlikely_servo(s: Mapping[str, float]) -> Iterator[KeyFault]:
         ("voltage", "rad/s", s["voltage"] / s["constant"], s["speed_no_load"], "voltage / constant", "speed_no_load"),
         ("resistance", "N m", stall, s["torque"], "constant voltage / resistance", "torque"),
     )
-    for key, unit, a, b, left, right in pairs:
+    speed = s["speed_no_load"]
+    if speed > SWIFT:
+        todo = f"is it in rpm? {speed:g} rpm is {speed * pi / 30:.4g} rad/s"
+        yield KeyFault("servo", None, "speed_no_load", f"{speed:g} rad/s", f"at most about {SWIFT:g} rad/s, at the output", todo)
+    for key, unit, a, b, left, right in () if speed > SWIFT else pairs:
         if not b / MOTOR <= a <= b * MOTOR:
             got, expected = f"{left} = {a:.3g} {unit}", f"about {right} = {b:.3g} {unit}"
             yield KeyFault("servo", None, key, got, expected, "the figures are not of one motor; power will be wrong")

@@ -7,7 +7,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from math import radians
+from math import pi, radians
 from typing import Any
 
 from pydantic import ValidationError
@@ -146,7 +146,8 @@ def _todo(value: Any, kind: str, what: str, unit: str, key: str) -> str:
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal") and unit:
         turned = kind == "less_than_equal" and unit in ("rad", "rad/s") and isinstance(value, int | float)
         deg = f": {value:g} {unit.replace('rad', 'deg')} is {radians(value):.4g} {unit}" if turned else ""
-        return f"check the number and its unit, {unit}{deg} ({what})"
+        rpm = f", {value:g} rpm is {value * pi / 30:.4g} {unit}" if turned and unit == "rad/s" else ""
+        return f"check the number and its unit, {unit}{deg}{rpm} ({what})"
     return f"correct it ({what})"
 
 

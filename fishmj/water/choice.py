@@ -49,6 +49,7 @@ HELP = (
 
 NOT_FITTED = "none is fitted for this body"
 FIT_IT = "fishmj hydro_fit --fish FILE"  # of its description: a shipped robot has a fitted water
+RANDOM_WATER = "--randomise-effects crossflow_drag,quadratic_drag,tail_normal_force"  # random forces without any fit
 INSTEAD = {
     HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
     LBM: "lbm is for suite.load, `fishmj evaluate` and `fishmj train --engine lbm`",
@@ -97,8 +98,9 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     if name == FAMILY:
         name = f"{robot.name}{calib.FAMILY}"
         if name not in calib.families():
-            own = "write one and give its file, FILE.toml, as the water (docs/simulate/fitted_water.md, Families)"
-            raise ConfigError(f"water {FAMILY!r}: no family comes with fishmj for robot {robot.name!r}; {own}")
+            own = "write one of your own fits and give its file, --water FILE.toml (docs/train/training.md, In a random water)"
+            ways = f"{own}, or draw the water's effects with train {RANDOM_WATER}"
+            raise ConfigError(f"water {FAMILY!r}: no family comes with fishmj for robot {robot.name!r}; {ways}")
     if name is None:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:

@@ -1,4 +1,4 @@
-"""Checks that a described fish is possible: weight, trim and servos, and five seconds of swimming in its prior water."""
+"""Checks that a described fish is possible: weight, trim and servos, and a swim in its prior water until its speed is steady."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,8 @@ from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.priors import displaced
 
 BEAT = 1.0  # Hz
-SECONDS, SETTLED = 5.0, 2.0  # of swimming; of its end, whole beats, which are measured
+LONGEST = 60  # beats of swimming; a light fish needs 15 to 35 until it is within 1 % of its last speed, a heavy one 20
+STEADY, BEATS = 0.01, 5  # spread of the mean speeds of the last beats over the last of them, below which the swim ends
 BEND, LARGEST = np.radians(90.0), np.radians(30.0)  # of all joints together; of one
 WAVE, LAG = np.radians(120.0), np.radians(60.0)  # from the first joint to the last; between neighbours at most
 GOOD, WRONG = (0.8, 1.25), (0.5, 2.0)  # factor on the widths
@@ -35,11 +36,13 @@ class SwimCheck(NamedTuple):
 
 
 class StillWaterSwim(NamedTuple):
-    """Five seconds of a gait in still water."""
+    """A gait in still water, until it is steady."""
 
     frequency: float  # Hz
     amplitude: float  # rad, of every joint
-    speed: float  # m/s ahead, over the last two beats
+    speed: float  # m/s ahead, mean over the last beat
+    seconds: float  # s that it swam
+    steady: bool  # whether the speed had settled by then
     drive: float  # greatest of any joint, N m: up to the stall torque, and what the motor's back-EMF takes is part of it
     torque: float  # greatest at any joint, N m: the drive without the back-EMF
     finite: bool
@@ -54,6 +57,7 @@ def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
     depth = float(-np.sum(g.mass * g.com[:, 2]) / robot.mass)
     rate = 2 * np.pi * swim.frequency * swim.amplitude / servo.speed_no_load
     load, pace = swim.drive / servo.torque, swim.speed / length
+    ahead = f"{swim.speed:.3g} m/s, {pace:.2f} lengths/s {'steady' if swim.steady else 'still changing'} at {swim.seconds:g} s"
     beat = f"servo speed, {swim.frequency:g} Hz and {np.degrees(swim.amplitude):.3g} deg"
     torque = f"{swim.torque:.3g} N m, drive {100 * load:.0f} % of {servo.torque:.4g} N m stall at {servo.voltage:g} V"
     weight = f"{robot.mass:.4g} kg, the mass"
@@ -68,7 +72,7 @@ def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
         _line("joint torque as it swims", torque, "drive below 70 %", _graded(load, (0, STRONG)), TORQUE),
         _line("stays finite", "yes" if swim.finite else "no", "yes", OK if swim.finite else FALSE, STRONGER),
         _line(
-            "swims ahead", f"{swim.speed:.3g} m/s, {pace:.2f} lengths/s", f"above {SLOW:g} lengths/s",
+            "swims ahead", ahead, f"above {SLOW:g} lengths/s",
             OK if pace > SLOW else FALSE, "see the servo's lines; is the tail fin as high as it says?",
         ),
     ]  # fmt: skip
@@ -80,27 +84,35 @@ def _line(what: str, found: str, expected: str, verdict: str, advice: str = "") 
 
 
 def swim_of(sim) -> StillWaterSwim:
-    """Swims a `fishmj.sim.Sim` at rest with a travelling wave."""
-    robot = sim.robot
+    """Swims a `fishmj.sim.Sim` at rest with a travelling wave until its speed is steady, for a minute at most."""
+    robot, dt = sim.robot, sim.robot.timing.bus_dt
     joints = np.arange(robot.n_joints)
     amplitude = float(min(LARGEST, BEND / robot.n_joints, robot.servo.range))
     lag = min(LAG, WAVE / max(robot.n_joints - 1, 1))
-    track, drive, torque = [], 0.0, 0.0
-    ticks = round(SECONDS / robot.timing.bus_dt)
+    track, speeds, drive, torque, steady = [sim.pose[:3]], [], 0.0, 0.0, False
+    beat = round(1 / BEAT / dt)  # ticks
     try:
-        for i in range(ticks):
-            t = i * robot.timing.bus_dt
-            sim.step(min(t, 1.0) * amplitude * np.sin(2 * np.pi * BEAT * t - lag * joints))
-            track.append(sim.pose[:3])
-            force = sim.data.actuator_force
-            drive = max(drive, float(np.abs(force).max()))
-            torque = max(torque, float(np.abs(force - sim.swimmer.kb * sim.data.qvel[-sim.model.nu :]).max()))
+        while not steady and len(speeds) < LONGEST:
+            for i in range(len(speeds) * beat, (len(speeds) + 1) * beat):
+                t = i * dt
+                sim.step(min(t, 1.0) * amplitude * np.sin(2 * np.pi * BEAT * t - lag * joints))
+                track.append(sim.pose[:3])
+                force = sim.data.actuator_force
+                drive = max(drive, float(np.abs(force).max()))
+                torque = max(torque, float(np.abs(force - sim.swimmer.kb * sim.data.qvel[-sim.model.nu :]).max()))
+            speeds.append(_ahead(np.array(track[-1 - beat :])) / (beat * dt))
+            floor = max(abs(speeds[-1]), SLOW * robot.length)
+            steady = len(speeds) >= BEATS and float(np.ptp(speeds[-BEATS:])) <= STEADY * floor
     except SimDiverged:
-        return StillWaterSwim(BEAT, amplitude, float("nan"), drive, torque, False)
-    start, end = track[-1 - round(SETTLED / robot.timing.bus_dt)], track[-1]
-    heading = float(np.mean([pose[2] for pose in track[-round(SETTLED / robot.timing.bus_dt) :]]))
-    ahead = float((end[:2] - start[:2]) @ [np.cos(heading), np.sin(heading)]) / SETTLED
-    return StillWaterSwim(BEAT, amplitude, ahead, drive, torque, bool(np.isfinite(track).all()))
+        return StillWaterSwim(BEAT, amplitude, float("nan"), len(track) * dt, False, drive, torque, False)
+    finite = bool(np.isfinite(track).all())
+    return StillWaterSwim(BEAT, amplitude, speeds[-1], len(speeds) * beat * dt, steady, drive, torque, finite)
+
+
+def _ahead(poses: np.ndarray) -> float:
+    """Way [m] along the mean heading of a beat; poses (T, 3) m, m, rad."""
+    heading = poses[1:, 2].mean()
+    return float((poses[-1, :2] - poses[0, :2]) @ [np.cos(heading), np.sin(heading)])
 
 
 def _graded(value: float, good: tuple[float, float], possible: tuple[float, float] = (-np.inf, np.inf)) -> str:
