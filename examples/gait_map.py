@@ -34,7 +34,10 @@ def swim(hertz, degrees, lag, bias=0.0, dt=CHAIN.dt, seconds=40.0, tail=4.0):
 
 if "--steps" in sys.argv:
     for dt in (0.0005, 0.001, 0.002, 0.004, 0.008):
-        print(f"step {dt * 1e3:3.1f} ms: lag 60 deg %.4f m/s, in phase %.4f m/s" % tuple(swim(1.0, 30, [60, 0], dt=dt, seconds=12.0)[0]))
+        print(
+            f"step {dt * 1e3:3.1f} ms: lag 60 deg %.4f m/s, in phase %.4f m/s"
+            % tuple(swim(1.0, 30, [60, 0], dt=dt, seconds=12.0)[0])
+        )
     sys.exit()
 hertz, bias = np.arange(0.25, 2.01, 0.25), np.array([10.0, 20.0, 30.0])
 (wave, phase), _, (watts, watts_phase) = swim(hertz, 30, [[60], [0]])

@@ -206,7 +206,11 @@ def test_there_are_more_than_a_hundred_generated_bad_descriptions():
         ("range_deg", 1.0472, r"range_deg: got 1\.0472 deg.* range = 1\.0472 if it is in rad"),
         ("range_deg", 0.1, r"range_deg: got 0\.1 deg"),
         ("range", 60.0, r"range: got 60.*60 deg is 1\.047 rad"),
-        ("speed_no_load", 300.0, r"speed_no_load: got 300.*, expected a number from 0\.01 to 100 rad/s;.* 300 deg/s is 5\.236 .*300 rpm is 31\.42 "),
+        (
+            "speed_no_load",
+            300.0,
+            r"speed_no_load: got 300.*, expected a number from 0\.01 to 100 rad/s;.* 300 deg/s is 5\.236 .*300 rpm is 31\.42 ",
+        ),
     ],
 )
 def test_an_angle_of_the_servo_in_the_other_unit_is_told_so(key, value, told):
@@ -294,6 +298,7 @@ UNLIKELY = [
     (("link", 0, "mass"), 0.4, "widths are scaled by 0.69"),
     (("body", "density_water"), 1300.0, "density_water: got 1300"),
     (("servo", "voltage"), 74.0, "not of one motor"),
+    (("servo", "speed_no_load"), 50.0, r"speed_no_load: got 50 rad/s, .*50 rpm is 5\.236 rad/s"),
     (("servo", "kp"), 0.2, "a fifth of its torque"),
     (("servo", "kp"), 900.0, "chatter"),
     (("timing", "command_latency"), 0.5, "expected 0.02 to 0.12 s"),

@@ -211,7 +211,10 @@ def test_a_family_takes_members_from_its_folder_then_shipped_ones(tmp_path):
 def test_a_family_is_refused_where_one_water_is_needed(tmp_path):
     with pytest.raises(ConfigError, match=r"own.toml: a family of waters, expected one fitted water; .*'swift-slip099'"):
         HydroModel.load(family_file(tmp_path))
-    with pytest.raises(ConfigError, match="water 'family': no family comes with fishmj for robot 'tendon_fish'; write one"):
+    with pytest.raises(
+        ConfigError,
+        match="water 'family': no family comes with fishmj for robot 'tendon_fish'; write one .* --randomise-effects cross",
+    ):
         chosen(load_robot("tendon_fish"), "family")
 
 
