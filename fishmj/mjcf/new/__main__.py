@@ -147,7 +147,7 @@ def check(args) -> int:
 
 
 def found_of(robot) -> tuple[dict[str, Any], bool]:
-    """Swims the robot until its speed is steady and prints its checks. Returns the facts for JSON, and True if a check is wrong."""
+    """Swims the robot until its speed is steady; prints its checks. Returns the facts for JSON, True if one is wrong."""
     from fishmj.mjcf.new.swim_check import checks, swim_of
     from fishmj.sim import Sim
     from fishmj.water.choice import chosen
