@@ -221,7 +221,7 @@ def test_fault_14_full_disk_pauses_training_until_there_is_space(learner, tmp_pa
     said = [line for line in capfd.readouterr().err.splitlines() if line.startswith("fishmj:")]
     assert disk.tried > 3 and made["steps"] == 3 * STEP
     assert len(said) == 2 and "paused:" in said[0] and "disk full: needs" in said[0] and "bytes" in said[0]
-    assert "there is room again" in said[1]
+    assert "the disk has room again" in said[1]
     assert store.Checkpoints(tmp_path / "checkpoints").latest().meta["done"] == 3 * STEP
     reference = StopAt(settings, tmp_path / "reference", 3 * STEP, learner=learner)
     reference.go()

@@ -95,8 +95,8 @@ def compiles(argv, under_way):
 train._train = compiles
 return train.main(argv)
 """
-    nothing = "nothing was learnt yet; start again with: fishmj"
-    held = "run holds what was learnt; go on with: fishmj train --out run --resume"
+    nothing = "nothing is saved yet; start again with: fishmj"
+    held = "run holds checkpoints; go on with: fishmj train --out run --resume"
     for argv, told in ((["--preset", "quick"], f"{nothing} --preset quick"), (["--out", "run", "--force"], held)):
         process = begun(tmp_path, f"from pathlib import Path{body}", *argv)
         process.send_signal(signal.SIGINT)

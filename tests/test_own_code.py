@@ -320,12 +320,12 @@ def test_an_own_task_and_algorithm_train_to_a_policy_file(tmp_path):
     [
         ({"Config": None}, "has no Config"),
         ({"act": None}, "has no act(actor, obs)"),
-        ({"act": lambda self, actor, obs: 0.5 * obs[:, :3]}, "act is not the policy that would be written"),
-        ({"policy_layers": lambda self, actor: (actor, "relu")}, "act is not the policy that would be written"),
-        ({"policy_layers": lambda self, actor: 3}, "init gave no training whose `actor`"),
-        ({"init": lambda self, key: 3}, "init gave no training whose `actor`"),
-        ({"iterate": lambda self, training: training}, "expected (training, figures as a dict)"),
-        ({"iterate": lambda self, training: (training, {"reward": 1.0})}, "its figures lack late_distance, episodes, diverged"),
+        ({"act": lambda self, actor, obs: 0.5 * obs[:, :3]}, "act differs from the policy that would be written"),
+        ({"policy_layers": lambda self, actor: (actor, "relu")}, "act differs from the policy that would be written"),
+        ({"policy_layers": lambda self, actor: 3}, "init returned an unusable `actor`"),
+        ({"init": lambda self, key: 3}, "init returned an unusable `actor`"),
+        ({"iterate": lambda self, training: training}, "expected (training, metrics as a dict)"),
+        ({"iterate": lambda self, training: (training, {"reward": 1.0})}, "its metrics lack late_distance, episodes, diverged"),
         ({"__init__": lambda self, env: None}, "expected Name(env, config, steps)"),
     ],
 )

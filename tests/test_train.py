@@ -56,7 +56,7 @@ def test_steps_that_whole_iterations_exceed_by_far_are_told(capsys):
         warn_of_rounding(SimpleNamespace(steps_per_iteration=16_384), steps)
         assert ("an iteration takes 16,384" in capsys.readouterr().err) == said, steps
     learner_of(calm_run(steps=10))
-    assert re.search(r"train: ([0-9,]+) control steps in place of 10: an iteration takes \1;", capsys.readouterr().err)
+    assert re.search(r"train: ([0-9,]+) control steps instead of 10: an iteration has \1;", capsys.readouterr().err)
 
 
 # ---- learning ----
@@ -190,7 +190,7 @@ def test_a_resumed_run_reads_its_own_settings(tmp_path, capsys):
     said = capsys.readouterr()
     made = json.loads(said.out.splitlines()[-1])["runs"][0]
     assert (made["seed"], made["steps"]) == (3, 2 * n)
-    assert f"judge it with: fishmj evaluate {out}\n" in said.out, said.out
+    assert f"evaluate it with: fishmj evaluate {out}\n" in said.out, said.out
     assert f"fewer than half of the fish arrive; to train longer: fishmj train --resume --out {out} --steps N" in said.err
     assert Policy.load(made["policy"]).memory == 2
 
@@ -204,7 +204,7 @@ def test_own_code_of_a_run_is_named_again_on_the_command_line(tmp_path, capsys):
     assert go_on(tmp_path, 5, settings).endswith(f"fishmj train --resume --out {tmp_path} --task ./mine.py:Line")
     write_json(tmp_path / "settings.json", {"preset": "quick"})
     assert console.run(main, ["--resume", "--out", str(tmp_path)]) == console.BAD_INPUT
-    assert "settings.json: no settings of a training" in capsys.readouterr().err
+    assert "settings.json: not the settings of a training" in capsys.readouterr().err
 
 
 def test_a_training_of_one_iteration_shows_its_rate_at_its_end():
@@ -348,9 +348,9 @@ def test_settings_survive_json(name):
         ("--envs 0", "argument --envs: got '0', expected a whole number from 1 to"),
         ("--learning-rate -1", "argument --learning-rate: got '-1', expected a number above 0 to 1"),
         ("--intensity 2", "argument --intensity: got '2', expected a number from 0 to 0.99"),
-        ("--engine batch", "engine batch cannot be compiled into a learner; train on compiled"),
+        ("--engine batch", "engine batch cannot run inside jax.jit; train on compiled"),
         ("--together --resume", "--together cannot resume"),
-        ("--together --devices 2", "--together beside --devices 2"),
+        ("--together --devices 2", "--together with --devices 2"),
         ("--algo sac --devices 2", "--devices 2: sac trains on one device"),
         ("--devices 1000", "--devices 1000: JAX sees 1 "),
     ],

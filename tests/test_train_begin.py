@@ -35,7 +35,7 @@ def test_what_the_policy_decides_cannot_be_asked_for_otherwise(asked, word):
 
 
 def test_other_algorithms_and_other_structures_are_refused():
-    with pytest.raises(ConfigError, match="sac learns from nothing"):
+    with pytest.raises(ConfigError, match="sac cannot start from a policy"):
         begin_with("station", change(preset("quick"), algo="sac"), {})
     with pytest.raises(ConfigError, match="robot tendon_fish has 9 and 2"):
         begin_with("station", change(preset("quick"), robot="tendon_fish"), {})
@@ -47,7 +47,7 @@ def test_resumed_run_that_is_complete_says_that_nothing_is_trained(tmp_path, cap
     assert console.run(main, [*words, "--out", str(tmp_path / "run")]) == console.OK
     assert "nothing is trained" not in capsys.readouterr().err
     assert console.run(main, ["--resume", "--steps", "256", "--out", str(tmp_path / "run")]) == console.OK
-    assert "has 256 control steps of 256: nothing is trained; raise --steps" in capsys.readouterr().err
+    assert "has 256 control steps of 256 already: nothing to train; raise --steps" in capsys.readouterr().err
     assert console.run(main, ["--resume", "--steps", "100", "--out", str(tmp_path / "run")]) == console.BAD_INPUT
     assert "got --steps 100 and 256 are trained already; expected a larger total" in capsys.readouterr().err
 

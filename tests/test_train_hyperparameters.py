@@ -269,7 +269,7 @@ def test_metrics_of_learners_have_episodes(algo):
 
 def test_the_help_of_the_control_step_says_what_counts_by_decision():
     said = " ".join(options().format_help().split())
-    assert "--gamma and --reward count by decision: at half the step gamma forgets in half the time" in said
+    assert "--gamma and --reward apply per decision: half the step halves gamma's horizon in seconds" in said
 
 
 def test_an_interrupted_training_says_so_before_its_summary(monkeypatch):

@@ -166,17 +166,17 @@ def test_tanks_take_several_devices_in_turn(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--engine lbm --preset quick", "each of its fish would be a tank"),
+        ("--engine lbm --preset quick", "needs too many tanks, one a fish"),
         ("--engine lbm --together --seeds 0,1", "--together: not in the flow solver"),
         ("--engine lbm --algo sb3-ppo", "--algo sb3-ppo: not in the flow solver"),
         ("--engine lbm --ray local:2", "--ray: not in the flow solver"),
-        ("--engine lbm --water swift", "water 'swift' with the engine lbm"),
-        ("--slip 0.98", "--slip: of --engine lbm or --correct only"),
+        ("--engine lbm --water swift", "water 'swift' with --engine lbm"),
+        ("--slip 0.98", "--slip: needs --engine lbm or --correct"),
         ("--correct --resume", "--correct beside --resume"),
         ("--correct --ray local:2", "--correct beside --ray"),
         ("--correct --devices 2", "--correct beside --devices"),
         ("--correct --engine lbm", "--correct beside --engine lbm"),
-        ("--correct --device cpu --water family", "a family is several waters"),
+        ("--correct --device cpu --water family", "a family has several waters"),
     ],
 )
 def test_what_the_solver_cannot_do_is_refused(words, said, capsys):

@@ -56,7 +56,7 @@ def test_grid_has_every_combination_with_parsed_values():
     ("line", "said"),
     [
         ("--sweep gama 0.9 0.8", "--sweep gama: .*expected one of"),
-        ("--sweep water structured family", "--sweep water: points are compared on the same task, robot and water"),
+        ("--sweep water structured family", "--sweep water: cannot be swept, because points share task, robot and water"),
         ("--sweep gamma 0.9", "two or more different values"),
         ("--sweep gamma 0.9 0.9", "two or more different values"),
         ("--sweep gamma 0.9 0.8 --gamma 0.7", "gamma is given twice"),

@@ -150,7 +150,7 @@ def test_a_folder_of_several_seeds_says_how_they_go_on(tmp_path, capsys):
         (tmp_path / f"seed-{seed}" / "checkpoints").mkdir(parents=True)
         write_json(tmp_path / f"seed-{seed}" / "settings.json", as_dict(change(preset("quick"), seed=seed)))
     assert console.run(main, ["--resume", "--out", str(tmp_path)]) == console.BAD_INPUT
-    assert "nothing to resume; there are the runs seed-0, seed-3: add --seeds 0,3" in capsys.readouterr().err
+    assert "nothing to resume; it has the runs seed-0, seed-3: add --seeds 0,3" in capsys.readouterr().err
 
 
 def test_folder_of_a_run_without_checkpoints_is_not_overwritten(tmp_path, capsys):
@@ -158,7 +158,7 @@ def test_folder_of_a_run_without_checkpoints_is_not_overwritten(tmp_path, capsys
     write_json(tmp_path / "settings.json", as_dict(preset("quick")))
     (tmp_path / "best.safetensors").write_bytes(b"")
     assert console.run(main, ["--preset", "quick", "--out", str(tmp_path)]) == console.BAD_INPUT
-    assert "already holds a run that cannot go on; add --force" in capsys.readouterr().err
+    assert "already holds a run that cannot resume; add --force" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("algo", ["sb3-sac", "examples/own_code.py:Evolution"])
@@ -178,8 +178,8 @@ def test_seeds_stopped_together_name_no_command_that_would_not_work(monkeypatch,
     words = ["--preset", "quick", "--together", "--seeds", "0,1", "--out", str(tmp_path / "run")]
     assert console.run(main, words) == console.INTERRUPTED
     out, err = capsys.readouterr()
-    assert "--together cannot go on" in err and "--resume" not in err
-    assert "not yet judged on the tuning flows" in out and "nan" not in out
+    assert "--together cannot resume" in err and "--resume" not in err
+    assert "not yet evaluated on the tuning flows" in out and "nan" not in out
 
 
 @pytest.mark.parametrize("algo", ["ppo", "sac"])

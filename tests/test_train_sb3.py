@@ -183,7 +183,7 @@ def test_stopped_sb3_run_exports_its_policy_and_resumes_with_empty_buffer(tmp_pa
     monkeypatch.setattr(sb3, "TrainingRun", watch)
     capfd.readouterr()
     assert sb3.train_sb3(run, tmp_path, resume=True)["steps"] == 2048
-    assert "the replay buffer was not kept: 512 steps of the policy refill it" in capfd.readouterr().err
+    assert "checkpoints do not hold the replay buffer: the policy refills it by 512 steps first" in capfd.readouterr().err
     assert seen["memory"] == 0 and seen["tensors"].keys() == before.tensors.keys()
     for name, value in before.tensors.items():  # networks, moments and temperature, to the bit
         np.testing.assert_array_equal(value, seen["tensors"][name], err_msg=name)
@@ -283,7 +283,7 @@ def test_a_ppo_run_repeats_stops_and_resumes_from_its_tensors(tmp_path, monkeypa
     monkeypatch.setattr(sb3, "TrainingRun", stopping(stopped, 1280))
     capfd.readouterr()
     assert sb3.train_sb3(run, tmp_path / "c", resume=True)["steps"] == 1280
-    assert "the fish were not kept" in capfd.readouterr().err
+    assert "checkpoints do not hold the fish" in capfd.readouterr().err
     after = stopped[1].training.tensors
     assert after["steps"] == 1280 and after["adam.0.step"] == 5 * 4 * 2  # Adam goes on, and so does the falling rate
     np.testing.assert_allclose(rate_of(stopped[1]), 2e-3 * 0.1 ** (1280 / 2048), rtol=1e-6)

@@ -23,25 +23,25 @@ from fishmj.train.planned_runs import (
 from fishmj.water import choice
 
 STEP = 0.2  # s, control step of the presets
-HALF = 0.5  # of the fish; a policy with which fewer arrive does not hold yet
-LOOKS = 10  # assessments in an algorithm's own budget of steps
-SEED = console.whole(0, 2**32 - 1)  # what a random key tells apart
+HALF = 0.5  # share of fish; a policy with fewer arrivals does not hold station yet
+LOOKS = 10  # assessments within an algorithm's own budget of steps
+SEED = console.whole(0, 2**32 - 1)  # range of a JAX random key
 EXAMPLES = """examples:
   fishmj train                                   a policy for your laptop; three to six minutes on two idle cores
   fishmj train --preset paper --engine planar    the paper's network on a GPU
   fishmj train --preset paper-sac --seeds 0,1,2  the paper's algorithm and budget, three runs
-  fishmj train --seeds 0,1,2 --ray auto          on a Ray cluster, a run on each worker; --resume goes on
+  fishmj train --seeds 0,1,2 --ray auto          on a Ray cluster, one run on each worker; --resume continues
   fishmj train --sweep learning-rate 1e-3 3e-4 --sweep reward.wS 0.002 0.005 --seeds 0,1    a grid of eight runs, and its table
-  fishmj train --algo sac                        soft actor-critic, with its own million of steps
+  fishmj train --algo sac                        soft actor-critic, one million steps by default
   fishmj train --gamma 0.98 --epochs 6           other hyperparameters
   fishmj train --flow-speeds 0,0.4 --episode-seconds 60     other streams, longer episodes
   fishmj train --memory 8                        the policy sees its last eight observations
-  fishmj train --begin station                   begin with a policy that can swim, not from nothing
+  fishmj train --begin station                   start from a trained policy instead of random weights
   fishmj train --engine lbm --begin station-family --device cuda     fine-tune it in the flow solver itself
-  fishmj train --correct --begin station --slip 0.98 --device cuda   refit its water to the solver, and train on, in turns
-  fishmj train --resume --out runs/quick-ppo-0   go on after Ctrl-C
-  fishmj train --task ./mine.py:Line             your own task, also --algo and --effects
-  fishmj evaluate runs/quick-ppo-0               judge what came out: its best.safetensors
+  fishmj train --correct --begin station --slip 0.98 --device cuda   alternate training and refitting its water to the solver
+  fishmj train --resume --out runs/quick-ppo-0   continue after Ctrl-C
+  fishmj train --task ./mine.py:Line             your own task; --algo and --effects also take your own code
+  fishmj evaluate runs/quick-ppo-0               evaluate the result, its best.safetensors
 """
 
 
@@ -56,7 +56,7 @@ def options() -> console.Parser:
     from fishmj.train.settings import ALGORITHMS, PRESETS
     from fishmj.water.flow import PRESETS as FLOWS
 
-    about = "Learn to hold station in a current that the fish cannot sense; leaves a policy file, best.safetensors, in --out."
+    about = "Learn to hold station in a current that the fish cannot sense; writes the policy file best.safetensors to --out."
     about += " docs/decisions/paper_errata.md names the paper."
     p = console.parser("train", about, examples=EXAMPLES)
     add = p.add_argument
@@ -68,75 +68,77 @@ def options() -> console.Parser:
     add("--algo", type=console.text, metavar="NAME", help=algo)
     task = f"{', '.join(COURSES)}, or your own as module:Name, docs/simulate/your_own_code.md (default station_hold)"
     add("--task", type=console.text, metavar="NAME", help=task)
-    engine = "what moves the fish. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3 only; lbm: the flow solver,"
-    engine += " one tank a fish (--envs), for a GPU; best with --begin (default: auto)"
+    engine = "physics engine. auto: mjx on a GPU, compiled or planar on a CPU; batch: sb3 only; lbm: the flow solver,"
+    engine += " one tank for each fish (--envs), needs a GPU, best with --begin (default: auto)"
     add("--engine", choices=("auto", *NAMES, choice.LBM), help=engine)
     box = f"box of water of --engine lbm (default: {PLAIN.domain}) and --correct (default: the water's); laptop is a preview"
     add("--domain", choices=BOXES, help=box)
-    slip = f"of the hull in the solver, at the paper's grid: 1 slides, 0 sticks (default: {PLAIN.slip:g}; --correct: the water's)"
+    slip = "slip ratio of the hull in the solver, at the paper's grid: 1 free slip, 0 no slip"
+    slip += f" (default: {PLAIN.slip:g}; --correct: the water's)"
     add("--slip", type=console.number(0, 1), help=slip)
-    correct = "train in the fitted water, compare the policy's returns there and in the flow solver, refit the water to both, and"
-    correct += " again, until they agree; the same command goes on"
+    correct = "train in the fitted water, compare the policy's returns there and in the flow solver, refit the water to both;"
+    correct += " repeat until the returns agree. After an interrupt, the same command continues"
     p.add_argument("--correct", action="store_true", help=correct)
-    add("--rounds", type=console.whole(1, 100), metavar="N", help="of --correct, at most (default: 4)")
+    add("--rounds", type=console.whole(1, 100), metavar="N", help="largest number of rounds of --correct (default: 4)")
     place = (
-        "of the solver: auto, cpu, cuda, cuda:N, cuda:all or a list; --engine lbm keeps its networks on the CPU (default: auto)"
+        "device of the solver: auto, cpu, cuda, cuda:N, cuda:all or a list; --engine lbm trains its networks on the CPU"
+        " (default: auto)"
     )
     add("--device", type=console.devices, help=place)
     own = ", ".join(f"{name} {entry.budget:,}" for name, entry in ALGORITHMS.items() if entry.budget)
     steps = f"control steps of the whole run, all fish together (default: {of(lambda s: f'{s.steps:,}')}; by --algo {own})"
     add("--steps", type=console.number(1, 1e11), metavar="N", help=steps)
-    add("--seed", type=SEED, help="of all random draws of the run (default: 0)")
-    seeds = "several runs, one after the other, for example 0,1,2 (default: --seed)"
+    add("--seed", type=SEED, help="seed of all random draws of the run (default: 0)")
+    seeds = "train one run for each seed, in sequence, for example 0,1,2 (default: --seed)"
     add("--seeds", type=console.Listed(SEED), metavar="N,..", help=seeds)
-    devices = "devices of this machine among which the fish of a run are split (PPO; default: 1: a seed gives the same anywhere)"
+    devices = "number of devices that share the fish of a run, PPO only; results depend on it (default: 1)"
     add("--devices", type=console.whole(1, 1024), default=1, metavar="N", help=devices)
-    sweep = (
-        "train with each of these values, without dashes before the name, and compare; several options make a grid; weights of"
-    )
-    sweep += " the reward are reward.wG, .. (default: none)"
+    sweep = "train with each value of this option and compare; write its name without dashes. Several --sweep make a grid;"
+    sweep += " reward weights are reward.wG, .. (default: none)"
     add("--sweep", nargs="+", action="append", type=console.text, default=[], metavar=("NAME", "VALUE"), help=sweep)
-    spread = f"train the runs over the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all see (default: here)"
+    spread = f"train the runs on the workers of a cluster: {ray_cluster.OPTION}; --out on a disk that all share (default: here)"
     add("--ray", type=console.text, metavar="ADDRESS", help=spread)
     add("--together", action="store_true", help="train all --seeds side by side in one program (fast on a GPU; not resumable)")
-    memory = "newest observations that the policy sees (default: 1: memoryless, as the paper's)"
+    memory = "number of newest observations in the policy's input (default: 1, no memory, as in the paper)"
     add("--memory", type=console.whole(1, 1000), metavar="N", help=memory)
     add("--turbulence", choices=tuple(FLOWS), help="turbulence to train in (default: gust)")
     intensity = "largest turbulence intensity, u_rms / max(speed, 0.1 m/s); each episode draws from 0 to it"
     intensity += f" (default: {of(lambda s: s.task['intensity'][1])})"
     add("--intensity", type=console.number(0, 0.99), help=intensity)
-    speeds = f"stream: each episode draws from LOW to HIGH; one number: always this (default: the task's, {task_speeds()})"
+    speeds = f"stream speed: each episode draws it from LOW to HIGH; one number fixes it (default: the task's, {task_speeds()})"
     bounds = console.Listed(console.number(0, 5), 2, distinct=False, rising=True)
     add("--flow-speeds", type=bounds, metavar="LOW,HIGH", help=f"m/s, {speeds}")
-    exponent = "of the draw, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
+    exponent = "exponent E of that draw, LOW + (HIGH - LOW) u^E with u uniform: 2 draws slow streams more often (default: 1)"
     add("--flow-exponent", type=console.number(0.1, 10), metavar="E", help=exponent)
-    share = "share of the episodes that begin at the target and last 8 s, half of them headed downstream, within 45 deg"
-    add("--at-target", type=console.number(0, 1), metavar="SHARE", help=f"{share} (default: 0: anywhere, as the paper's)")
+    share = "share of episodes that start at the target and last 8 s; half of these head downstream, within 45 deg"
+    add("--at-target", type=console.number(0, 1), metavar="SHARE", help=f"{share} (default: 0, start anywhere, as in the paper)")
     seconds = "length of an episode (default: the task's, 30 for station_hold)"
     add("--episode-seconds", type=console.number(0.02, 1e6), metavar="S", help=seconds)
-    step = "between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must decide as often. --gamma and"
-    step += " --reward count by decision: at half the step gamma forgets in half the time, and a second counts twice"
+    step = "time between two decisions, a multiple of the bus tick of 0.02 s; evaluate and the robot must use the same. --gamma"
+    step += (
+        " and --reward apply per decision: half the step halves gamma's horizon in seconds, and doubles the reward of a second"
+    )
     add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step} (default: the robot's, 0.2 for fish)")
-    way = "servo commands between two decisions. linear: on the way to the new angles; hold: the new angles at once;"
-    way += " move_time: linear, and the servo interpolates too (default: the robot's, linear for fish)"
-    add("--command-path", choices=COMMAND_PATHS, help=way)
+    path = "servo commands between two decisions. linear: interpolated to the new angles; hold: the new angles at once;"
+    path += " move_time: linear, and the servo interpolates between bus ticks (default: the robot's, linear for fish)"
+    add("--command-path", choices=COMMAND_PATHS, help=path)
     add("--robot", type=console.text, help="fish, tendon_fish, or a TOML file (default: fish)")
     add("--water", type=console.text, help=choice.HELP)
     hide = f"observation groups set to zero, for ablations: {', '.join(GROUPS)} (default: none)"
     add("--hide", type=console.Listed(console.OneOf(GROUPS)), metavar="NAME,..", help=hide)
     own_effects.drawn_option(p)
-    begin = "shipped name, policy file or folder of a training whose network PPO begins with; its widths, memory and command path"
-    add("--begin", type=console.text, metavar="POLICY", help=f"{begin} come with it (default: from nothing)")
+    begin = "policy that PPO starts from, with its widths, memory and command path: shipped name, policy file or folder of a"
+    add("--begin", type=console.text, metavar="POLICY", help=f"{begin} training (default: random weights)")
     own_effects.option(p)
     reward = "weights of the reward: wG, wD, wS (default: the paper's)"
     add("--reward", type=weight, nargs="*", default=[], metavar="KEY=VALUE", help=reward)
-    out = "folder of the run, refused when it holds one; with several seeds, a folder seed-N in it for each"
+    out = "folder of the run; refused if it holds a run already; several seeds have subfolders seed-N"
     out += " (default: runs/<preset>-<algo>-<seed>)"
     add("--out", type=console.out_folder, help=out)
-    p.add_argument("--yes", action="store_true", help="begin also what takes more than a week, or more memory than there is")
-    resume = "go on with the run in --out, under its own settings: only --steps, all with those trained before, may differ"
+    p.add_argument("--yes", action="store_true", help="start even if the run takes more than a week or more memory than there is")
+    resume = "continue the run in --out with its own settings; only --steps may differ, and counts from the run's start"
     p.add_argument("--resume", action="store_true", help=resume)
-    p.add_argument("--force", action="store_true", help="remove a run that is there and begin anew")
+    p.add_argument("--force", action="store_true", help="remove an existing run in --out and start again")
     hyperparameter_options(p)
     return p
 
@@ -145,7 +147,7 @@ def hyperparameter_options(parser: console.Parser) -> None:
     """Adds an option for every hyperparameter that an algorithm declares."""
     from fishmj.train.settings import hyperparameters, told
 
-    about = "of the algorithm; one that it has not is refused. Without an option: the preset's value, else the algorithm's"
+    about = "of the algorithm; options of other algorithms are refused. Default: the preset's value, else the algorithm's"
     group = parser.add_argument_group("hyperparameters", about)
     for name, one in hyperparameters().items():
         algos: dict[str, list[str]] = {}
@@ -192,7 +194,7 @@ def settings_from(args, run=None):
     s = run or preset(args.preset or (choice.LBM if args.engine == choice.LBM else _by_device()))
     for option, name in own_code(run).items() if run else ():
         if getattr(args, option[2:]) is None:
-            raise ConfigError(f"the run has {name!r}, own code, which only the command line may name: add {option} {name}")
+            raise ConfigError(f"the run uses your own code {name!r}, which only the command line may name: add {option} {name}")
     kept = lambda values: {name: tuple(v) if isinstance(v, list) else v for name, v in values.items() if v is not None}
     given = lambda *names: kept({name: getattr(args, name) for name in names})
     top = given("preset", "engine", "robot", "water", "seed", "command_path", "control_dt")
@@ -207,7 +209,7 @@ def settings_from(args, run=None):
         if budget := ALGORITHMS[args.algo].budget:  # nor does how long it takes to learn
             s = replace(s, steps=budget, assess_every=budget // LOOKS)
     if len(reward) < len(args.reward):
-        raise ConfigError("--reward: one weight stands there twice; name each once")
+        raise ConfigError("--reward: one weight is given twice; give each once")
     if args.steps is not None:
         top |= {"steps": int(args.steps), "assess_every": min(preset(s.preset).assess_every, max(1, int(args.steps) // 4))}
     if args.task:
@@ -225,26 +227,26 @@ def settings_from(args, run=None):
     if made.engine == choice.LBM:
         _in_solver(made, args)
     elif solver:
-        raise ConfigError(f"--{next(iter(solver))}: of --engine lbm or --correct only; leave it out, or add one of them")
+        raise ConfigError(f"--{next(iter(solver))}: needs --engine lbm or --correct; add one of them, or leave it out")
     if run is None and args.envs is None and made.algo == "ppo" and pick_engine(made) == "mjx":
         made = change(made, algorithm=ON_MJX.get(made.preset, {}))
     return made
 
 
 def _in_solver(settings, args) -> None:
-    """Refuses what a training in the flow solver cannot do."""
+    """Raises ConfigError for options that training in the flow solver does not support."""
     from fishmj.train.settings import ALGORITHMS
 
     if settings.preset != choice.LBM:
-        raise ConfigError(f"--preset {settings.preset} with the engine lbm: each of its fish would be a tank; leave --preset out")
+        raise ConfigError(f"--preset {settings.preset} with --engine lbm: needs too many tanks, one a fish; leave --preset out")
     apart = settings.algo in ALGORITHMS and ALGORITHMS[settings.algo].train  # brings an environment of its own
     given = {f"--algo {settings.algo}": apart, "--together": args.together, "--ray": args.ray}
     if wrong := [option for option, value in given.items() if value]:
-        raise ConfigError(f"{wrong[0]}: not in the flow solver; leave it out")
+        raise ConfigError(f"{wrong[0]}: not supported in the flow solver; leave it out")
 
 
 def _asked_of(args) -> dict:
-    """Options given by the user among those that a policy decides."""
+    """Options given by the user that the policy of --begin also fixes."""
     given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
     given |= {"--control-dt": args.control_dt, "--activation": args.activation, "--sigma": args.sigma}
     given["--learning-rate"] = args.learning_rate
@@ -252,7 +254,7 @@ def _asked_of(args) -> dict:
 
 
 def corrected(args, command: str) -> int:
-    """Trains and refits in turns; exit code 1 if the returns do not agree after the last round."""
+    """Alternates training and refitting; exit code 1 if the returns do not agree after the last round."""
     from fishmj.hydro_fit.campaign.dagger import dagger
     from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
     from fishmj.train import correct_water
@@ -262,7 +264,8 @@ def corrected(args, command: str) -> int:
     given |= {"--ray": args.ray, "--devices": args.devices > 1, "--sweep": args.sweep}
     if wrong := [option for option, value in given.items() if value]:
         raise ConfigError(
-            f"--correct beside {wrong[0]}: its own command goes on, one seed, PPO, in the fitted water; leave it out"
+            f"--correct with {wrong[0]}: not supported: --correct trains one seed by PPO in the fitted water and resumes by"
+            f" itself; leave {wrong[0].split()[0]} out"
         )
     use_cores_as_devices()
     settings, args.rounds = settings_from(args), args.rounds or 4
@@ -295,7 +298,7 @@ def _by_device() -> str:
 
 
 def folders_of(args, settings, seeds: list[int]) -> dict[int, Path]:
-    """Folders of every seed's run; of --together one."""
+    """Folder of each seed's run; with --together one folder for all."""
     from fishmj.base import plugins
 
     algo = plugins.name_of(settings.algo)
@@ -310,14 +313,14 @@ def check_folders(args, folders: list[Path]) -> None:
     """Checks the folders of all runs before the first one starts.
 
     Raises:
-        ConfigError: one holds a run, without --resume or its removal as an option, or something that must not be removed.
-        ArgumentTypeError: one cannot be written.
+        ConfigError: a folder holds a run, without --resume or --force; or --force would remove something else.
+        ArgumentTypeError: a folder cannot be written.
     """
     from fishmj.base.store import Checkpoints
     from fishmj.control.policy import OF_A_RUN
 
     if args.resume and args.force:
-        raise ConfigError("--resume goes on with a run and --force removes it; leave one of them out")
+        raise ConfigError("--resume continues a run and --force removes it; leave one of them out")
     if args.together and args.resume:
         raise ConfigError("--together cannot resume; train the seeds one after another")
     if args.together and folders[0].exists() and not args.force:
@@ -326,11 +329,9 @@ def check_folders(args, folders: list[Path]) -> None:
         console.out_folder(str(folder))
         began = any((folder / name).exists() for name in ("settings.json", "checkpoints"))
         if Checkpoints(folder / "checkpoints").paths() and not (args.resume or args.force):
-            raise ConfigError(
-                f"{folder} already holds a run; add --resume to go on, --force to remove it, or choose another --out"
-            )
+            raise ConfigError(f"{folder} already holds a run; add --resume to go on, --force to remove it, or take another --out")
         if began and any((folder / name).exists() for name in OF_A_RUN) and not (args.resume or args.force):  # of --together
-            raise ConfigError(f"{folder} already holds a run that cannot go on; add --force to remove it, or take another --out")
+            raise ConfigError(f"{folder} already holds a run that cannot resume; add --force to remove it, or take another --out")
         several = args.together and any(folder.glob("seed-*/settings.json"))
         if args.force and not (began or several) and folder.exists() and any(folder.iterdir()):
             raise ConfigError(f"{folder} holds no training run, so --force does not remove it; choose another --out")
@@ -338,7 +339,7 @@ def check_folders(args, folders: list[Path]) -> None:
         message = "start without --resume"
         if inside := sorted(path.parent.name for path in (args.out or Path()).glob("seed-*/checkpoints")):
             listed = ",".join(name.removeprefix("seed-") for name in inside)
-            message = f"there are the runs {', '.join(inside)}: add --seeds {listed}"
+            message = f"it has the runs {', '.join(inside)}: add --seeds {listed}"
         raise ConfigError(f"{', '.join(map(str, folders))}: nothing to resume; {message}")
 
 
@@ -367,14 +368,14 @@ def _train(argv: list[str], under_way: list[PlannedRun]) -> int:
     console.refuse_unheeded("train", args, parser, {"--correct": (False, ("rounds",))})
     if args.begin and (args.resume and not (args.seeds or args.sweep) or args.together):
         other = "--resume" if args.resume else "--together"
-        raise ConfigError(f"--begin beside {other}: a run begins with a policy once, and alone; leave one of them out")
+        raise ConfigError(f"--begin with {other}: not supported, --begin starts one fresh run; leave one of them out")
     if args.together and args.devices > 1:
-        raise ConfigError(f"--together beside --devices {args.devices}: it trains on one device; leave one of them out")
+        raise ConfigError(f"--together with --devices {args.devices}: it trains on one device; leave one of them out")
     if args.together and (args.ray or args.sweep):
         other = "--ray" if args.ray else "--sweep"
-        raise ConfigError(f"--together beside {other}: it trains seeds in one program; leave one of them out")
+        raise ConfigError(f"--together with {other}: it trains only seeds in one program; leave one of them out")
     if args.seeds and args.seed is not None:
-        raise ConfigError(f"--seed {args.seed} beside --seeds: they name the runs twice; leave one of them out")
+        raise ConfigError(f"--seed {args.seed} with --seeds: both name the runs; leave one of them out")
     runs = [run for point, one in grid_points(parser, args) for run in planned(one, point)]
     check_folders(args, [run.folder for run in runs])
     check_distinct(runs)
@@ -382,7 +383,7 @@ def _train(argv: list[str], under_way: list[PlannedRun]) -> int:
         ray_cluster.refuse_own_code(
             [*(name for run in runs for name in own_code(run.settings)), *(["--effects"] * bool(args.effects))]
         )
-    else:  # with --ray the devices are those of a worker
+    else:  # with --ray, the worker's devices count
         for run in runs:
             check_devices(run.settings, args.devices)
     training_cost.agree([run.settings for run in runs], together=args.together, yes=args.yes, devices=args.devices)
@@ -404,7 +405,7 @@ def _train(argv: list[str], under_way: list[PlannedRun]) -> int:
 
 
 def planned(args, point: str) -> list[PlannedRun]:
-    """Runs of one point of a sweep, or of a command without one: a run for each seed."""
+    """Runs of one point of a sweep, or of a command without a sweep: one run for each seed."""
     from fishmj.train.begin import begin_with
     from fishmj.train.build import settled
     from fishmj.train.settings import as_dict, change, of_run, same
@@ -431,7 +432,7 @@ def planned(args, point: str) -> list[PlannedRun]:
 
 
 def judging(settings, folder: str) -> str:
-    """Command that judges a training's policy with the robot, the control step and the command path of its `Settings`."""
+    """Command that evaluates a training's policy with the robot, control step and command path of its `Settings`."""
     from fishmj.mjcf.reading import load_robot
 
     own = load_robot(settings.robot).timing
@@ -444,7 +445,7 @@ def judging(settings, folder: str) -> str:
 
 
 def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -> int:
-    """Prints the outcomes, and of a sweep its table, which also goes into sweep.json; returns the exit code."""
+    """Prints the results; of a sweep also its table, which is written to sweep.json. Returns the exit code."""
     from fishmj.base.store import write_json
     from fishmj.train.training_run import go_on
 
@@ -452,7 +453,7 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         last, settings = results[-1], runs[len(results) - 1].settings
         more = go_on(last["folder"], last["steps"], settings, args.devices)
         if args.together:
-            more = f"the policies so far are in {Path(last['folder']).parent}; --together cannot go on"
+            more = f"the policies so far are in {Path(last['folder']).parent}; --together cannot resume"
         elif len(runs) > 1:
             more = f"{last['folder']} holds the run up to step {last['steps']:,}; go on with all: {resumed(argv)}"
         console.warn(f"interrupted; {more}")
@@ -460,7 +461,7 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         if "failed" in r:
             console.warn(f"{run.name}: {r['failed']}")
             continue
-        took, judged = console.duration(r["seconds"]), "not yet judged on the tuning flows"
+        took, judged = console.duration(r["seconds"]), "not yet evaluated on the tuning flows"
         took += f" {'in all ' if args.resume else ''}(compiling iterations included)"
         if "tune_arrival" in r:
             held = f"RMSE of the last 10 s {r['tune_rmse_last10']:.3f} m"
@@ -469,14 +470,12 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         console.say(
             f"{r['algorithm']} {run.name}: {done} in {took} on {r['engine']}; {judged}",
             f"policy: {r['policy']}",
-            f"judge it with: {judging(run.settings, r['folder'])}",
+            f"evaluate it with: {judging(run.settings, r['folder'])}",
         )
         if r.get("tune_arrival", 1.0) < HALF and not r["stopped"]:
             more = shlex.join(["fishmj", "train", "--resume", "--out", r["folder"]])
             step = run.settings.control_dt or load_robot(run.settings.robot).timing.control_dt
-            jerks = (
-                f"; a step of {step:g} s explores faster joints than one of {STEP:g} s: try --reward wS=0.001, a higher --gamma"
-            )
+            jerks = f"; steps of {step:g} s explore faster joint motion than {STEP:g} s: try --reward wS=0.001, a higher --gamma"
             longer = f"to train longer: {more} --steps N{jerks if step < STEP else ''}"
             console.warn(f"{run.name}: fewer than half of the fish arrive; {longer}")
     result: dict = {"runs": results}
@@ -488,7 +487,7 @@ def report(args, argv: list[str], runs: list[PlannedRun], results: list[dict]) -
         console.say("", shown(table["rows"]), "", "means over the seeds, on the tuning flows", shown(table["points"]))
         if best := table["best"]:
             names = [r["policy"] for run, r in zip(runs, results, strict=False) if run.point == best["point"]]
-            again = "judge it on other draws with: fishmj evaluate"
+            again = "evaluate it on other draws with: fishmj evaluate"
             console.say("", f"best on the tuning flows: {best['point']}; {again} {shlex.join(names)}")
     if args.json:
         console.emit_json(result)

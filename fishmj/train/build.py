@@ -19,7 +19,7 @@ from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, hyperpar
 from fishmj.water.choice import LBM, SELF_MADE, WaterChoice, chosen
 from fishmj.water.flow import BOXES
 
-CLOSE = 1e-4  # of an action in [-1, 1]: float32 through another library
+CLOSE = 1e-4  # largest difference of actions in [-1, 1] between two float32 libraries
 
 
 def pick_engine(settings: Settings) -> str:
@@ -47,10 +47,10 @@ def timed(robot, settings: Settings):
 
 
 def water_for(settings: Settings) -> WaterChoice:
-    """Water of a run. Raises ConfigError for one that its engine cannot be; further errors as `choice.chosen`."""
+    """Water of a run. Raises ConfigError if its engine does not support it; further errors as `choice.chosen`."""
     if settings.engine == LBM:
         if settings.water not in ("auto", LBM):
-            raise ConfigError(f"water {settings.water!r} with the engine lbm, which is a water; leave one of them out")
+            raise ConfigError(f"water {settings.water!r} with --engine lbm, which replaces the water; leave one of them out")
         return chosen(load_robot(settings.robot), LBM)
     water = None if settings.water == "auto" else settings.water
     return chosen(load_robot(settings.robot), water).within(SELF_MADE, "training")
@@ -59,15 +59,15 @@ def water_for(settings: Settings) -> WaterChoice:
 def settled(settings: Settings) -> Settings:
     """Settings with all open values filled in: water by name, timing, hyperparameters, the task's options and reward.
 
-    A run keeps these, so that it continues with them even if a default changes later.
+    A run stores these, so that it resumes with them even if a default changes later.
 
-    Raises UnknownName, ConfigError: an invalid setting; OwnCodeError: of an algorithm or task of the user's own.
+    Raises UnknownName, ConfigError: an invalid setting; OwnCodeError: an error in the user's own algorithm or task.
     """
     from fishmj.tasks.env import Options
 
     water = water_for(settings).kind if settings.water == "auto" else settings.water
     task = _written(from_table("task option", Options, settings.task))
-    del task["box"]  # a run has two: train and tune
+    del task["box"]  # a run uses two boxes, train and tune
     course = course_of(task["course"])
     if task["course"] in COURSES:
         ends = course.launch(np, np.array([[0.0] * N_START, [1.0] * N_START])).start.speed  # the speed is a draw between these
@@ -107,14 +107,12 @@ def environment(settings: Settings, box: str = "train"):
     else:
         engine = make(name, robot)
     if not engine.jittable:
-        raise ConfigError(
-            f"engine {name} cannot be compiled into a learner; train on compiled, planar or mjx, or with --algo sb3-ppo"
-        )
+        raise ConfigError(f"engine {name} cannot run inside jax.jit; train on compiled, planar or mjx, or with --algo sb3-ppo")
     return StationHold(robot, engine, options, **settings.reward)
 
 
 def algorithm(settings: Settings, env, devices: int = 1) -> Learner:
-    """Learner named by settings.algo, on so many devices. Raises ConfigError, UnknownName, OwnCodeError."""
+    """Learner named by settings.algo, on this number of devices. Raises ConfigError, UnknownName, OwnCodeError."""
     config = config_of(settings)
     check_devices(settings, devices)
     if devices > 1:
@@ -125,7 +123,7 @@ def algorithm(settings: Settings, env, devices: int = 1) -> Learner:
 
 
 def check_devices(settings: Settings, devices: int) -> None:
-    """Raises ConfigError for several devices with an algorithm that trains on one, fewer devices, or fish that do not split."""
+    """Raises ConfigError if the algorithm trains on one device only, devices are missing, or the fish do not divide equally."""
     if devices == 1:
         return
     from fishmj.train.sharding import Shards
@@ -143,7 +141,7 @@ def config_of(settings: Settings) -> Any:
     """Hyperparameters of the algorithm. Raises UnknownName (no such algorithm, no such key), ConfigError, OwnCodeError."""
     if settings.algo in ALGORITHMS:
         kind = referred(ALGORITHMS[settings.algo].config)
-    elif settings.algo in plugins.loaded("algorithm"):  # of the user's own: only what this process has loaded
+    elif settings.algo in plugins.loaded("algorithm"):  # the user's own, if this process has loaded it
         kind = getattr(plugins.loaded("algorithm")[settings.algo], "Config", None)
         if not (isinstance(kind, type) and is_dataclass(kind)):
             what = "has no Config; give it a frozen dataclass of its settings, each with a default"
@@ -183,7 +181,7 @@ def policy_of(network: PolicyLayers, settings: Settings, meta: dict) -> Policy:
 
 
 class OwnAlgorithm:
-    """A learning algorithm of the user's own behind the interface of ppo.py and sac.py, with every result checked.
+    """Wraps the user's own learning algorithm in the interface of ppo.py and sac.py, and checks every result.
 
         class Mine:
             Config                                      frozen dataclass of its settings, all with defaults
@@ -196,7 +194,7 @@ class OwnAlgorithm:
 
     The trained actor must equal the written policy: a file holds tanh(MLP(observation / scale)), and `act` is compared with it.
 
-    Raises OwnCodeError: it fails, or returns something else.
+    Raises OwnCodeError: the algorithm fails, or returns something else.
     """
 
     def __init__(self, text: str, env, config: Any, steps: int, settings: Settings):
@@ -224,12 +222,14 @@ class OwnAlgorithm:
         """Does one iteration; returns (train state, metrics)."""
         answer = plugins.call(f"{self.what}: iterate", self.mine.iterate, state)
         if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[1], Mapping)):
-            raise OwnCodeError(f"{self.what}: iterate gave {type(answer).__name__}; expected (training, figures as a dict)")
+            raise OwnCodeError(f"{self.what}: iterate returned {type(answer).__name__}; expected (training, metrics as a dict)")
         if lacking := [name for name in NEEDED if name not in answer[1]]:
-            raise OwnCodeError(f"{self.what}: its figures lack {', '.join(lacking)}; expected {', '.join(METRICS)}, numbers each")
+            raise OwnCodeError(
+                f"{self.what}: its metrics lack {', '.join(lacking)}; expected {', '.join(METRICS)}, one number each"
+            )
         for name, value in answer[1].items():
             if np.shape(value) != ():
-                raise OwnCodeError(f"{self.what}: figure {name} has shape {np.shape(value)}; expected one number")
+                raise OwnCodeError(f"{self.what}: metric {name} has shape {np.shape(value)}; expected one number")
         return answer
 
     def act(self, actor, obs):
@@ -248,16 +248,16 @@ class OwnAlgorithm:
         except Exception as error:
             message = " ".join(str(error).split())[:200]
             raise OwnCodeError(
-                f"{self.what}: init gave no training whose `actor` is a list of (weights (in, out), bias (out,)) from "
-                f"{self.env.n_input} inputs to {self.env.n_act} actions; turned for the file: {message}"
+                f"{self.what}: init returned an unusable `actor`; expected a list of (weights (in, out), bias (out,)) from "
+                f"{self.env.n_input} inputs to {self.env.n_act} actions; transposed for the policy file: {message}"
             ) from error
         if self.settings.task.get("memory", 1) > 1 or self.settings.task.get("hide"):
-            return  # a window of past observations, or weights that are cut: not one observation in, one action out
+            return  # with memory or trimmed weights, one observation does not determine one action
         obs = np.random.default_rng(0).normal(size=(16, self.env.n_obs)).astype(np.float32)
         ours, theirs = policy(obs), np.asarray(self.act(training.actor, obs))
         if theirs.shape != ours.shape or not np.abs(theirs - ours).max() < CLOSE:
             off = f"shape {theirs.shape}" if theirs.shape != ours.shape else f"differs by {np.abs(theirs - ours).max():.3g}"
             raise OwnCodeError(
-                f"{self.what}: act is not the policy that would be written ({off}): expected tanh(MLP(obs / scale)) with "
-                f"activation {policy.meta['activation']!r}; fishmj.train.networks has forward, env.input_scale the divisors"
+                f"{self.what}: act differs from the policy that would be written ({off}): expected tanh(MLP(obs / scale)) with "
+                f"activation {policy.meta['activation']!r}; use fishmj.train.networks.forward and env.input_scale"
             )

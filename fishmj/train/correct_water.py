@@ -1,14 +1,13 @@
-"""A policy and its water in turns: `fishmj train --correct`.
+"""Alternating training of a policy and refitting of its water: `fishmj train --correct`.
 
-    train in the water -> swim the same episodes in it and in the flow solver -> do the returns agree? else refit, train on, ...
+    train in the water -> swim the same episodes there and in the flow solver -> stop if the returns agree, else refit and repeat
 
-A policy seeks the states in which its water is most in favour of it, and these are not those that the water was fitted to. Each
-round trains the policy of the round before in the present water; `hydro_fit.campaign.dagger` compares, collects and refits. The
-rounds end when the mean returns differ by less than 5 % of the solver's. Episodes are drawn from the table of training flows,
-never from the judge's.
+A policy exploits the errors of its water, in states to which the water was not fitted. Each round trains the policy of the
+previous round in the present water; `hydro_fit.campaign.dagger` compares, collects data and refits. The rounds end when the mean
+returns differ by less than 5 % of the solver's. Episodes use the training flows, never those of the evaluation.
 
 A run is a folder: round-N/train (a training), round-N.json (the comparison), solver (segments of all rounds), round-N/water.toml
-(the water after round N; round-0 has the first). The same command goes on with what is there.
+(the water after round N; round-0 has the first). After an interrupt, the same command continues.
 """
 
 from collections.abc import Mapping
@@ -39,15 +38,15 @@ from fishmj.train.training_run import TrainingRun
 from fishmj.water.choice import STRUCTURED, family_in, model_of
 from fishmj.water.hydro_model import HydroModel
 
-EPISODES, SECONDS = 12, 20.0  # of a round's comparison; each also gives a short segment from the surrogate's state half-way
-AGAIN = 2_000_000  # control steps of a round that begins with a policy
+EPISODES, SECONDS = 12, 20.0  # of a round's comparison; each also gives a short segment, started from the surrogate half-way
+AGAIN = 2_000_000  # control steps of a round that starts from a policy
 
 
 def first_water(settings: Settings, slip: float | None) -> HydroModel:
     """Water of the first round, with the slip ratio of the solver. Raises ConfigError for a family of waters."""
     robot = water_for(settings).robot
     if family_in(robot) is not None:
-        raise ConfigError(f"--correct --water {settings.water}: a family is several waters; name one fit, such as {robot.name}")
+        raise ConfigError(f"--correct --water {settings.water}: a family has several waters; name one fit, such as {robot.name}")
     model = model_of(robot) or replace(unfitted(load_robot(settings.robot)), notes=STRUCTURED)
     return replace(model, name="water", slip=model.slip if slip is None else slip)
 
@@ -57,12 +56,12 @@ def train_and_correct(
     slip: float | None = None, domain: str | None = None, device: str = "auto", rounds: int = 4, steps: int | None = None,
     pool: Pool | None = None, episodes: int = EPISODES, seconds: float = SECONDS, command: str | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Trains and refits in turns. Returns rounds (rows of `dagger.compare_returns`), agreed, policy and water (paths).
+    """Alternates training and refitting. Returns rounds (rows of `dagger.compare_returns`), agreed, policy and water (paths).
 
     Args:
-        begin, asked: policy of the first round and options, as of `begin_with`; None trains from nothing.
+        begin, asked: starting policy of the first round and options, as in `begin_with`; None: random weights.
         slip, domain, device: of the flow solver, by default those of the water's own segments.
-        steps: control steps of each round; by default `AGAIN`, from nothing the settings' own.
+        steps: control steps of each round; by default `AGAIN`, and from random weights the settings' own.
 
     Raises ConfigError: the folder holds another run, or the water cannot be refitted; KeyboardInterrupt: a training was stopped.
     """
@@ -93,7 +92,7 @@ def train_and_correct(
 
 
 def trained(settings: Settings, water: Path, folder: Path, begin: str | None, asked, steps: int | None, command) -> Path:
-    """Policy of one round; a training that was finished is not repeated, one that was interrupted goes on."""
+    """Policy of one round; a finished training is not repeated, an interrupted one resumes."""
     policy, done = None, folder / "summary.json"
     one = change(settings, water=str(water))
     if begin is not None:
@@ -112,7 +111,7 @@ def trained(settings: Settings, water: Path, folder: Path, begin: str | None, as
 
 
 def affordable(settings: Settings, args) -> None:
-    """Checks that the solver's part can be done here. Raises TooMuch with the estimate."""
+    """Checks that this machine can do the solver's part. Raises TooMuch with the estimate."""
     model = first_water(settings, args.slip)
     water = args.rounds * EPISODES * (SECONDS + dagger.SHORT)
     less = "take fewer --rounds; --domain laptop is a preview"
@@ -121,7 +120,7 @@ def affordable(settings: Settings, args) -> None:
 
 
 def table(rows: list[dict]) -> str:
-    """Rounds as a table: returns a control step, their difference with its interval, RMS distances in the second half [m]."""
+    """Table of the rounds: mean reward per control step, difference with its interval, RMS distances in the second half [m]."""
     named = lambda row: {
         "round": row["round"],
         "return in the water": row["surrogate"],

@@ -1,4 +1,4 @@
-"""`python -m fishmj.train.curves RUN [RUN ...] --out curves.png`: reward and distance over training, runs of one label together.
+"""`python -m fishmj.train.curves RUN [RUN ...] --out curves.png`: learning curves, reward and distance, grouped by label.
 
 A RUN is a run's folder or a metrics.jsonl; `label=RUN` names it. Runs with one label are drawn as their mean and range.
 """
@@ -27,7 +27,7 @@ def read(path: Path) -> dict[str, np.ndarray]:
 
 
 def smooth(y: np.ndarray, share: float = 0.02) -> np.ndarray:
-    """Running mean over `share` of the run."""
+    """Moving average; the window is `share` of the run."""
     n = max(1, round(share * len(y)))
     padded = np.pad(y, (n // 2, n - 1 - n // 2), mode="edge")
     return np.convolve(padded, np.ones(n) / n, "valid")
@@ -35,7 +35,7 @@ def smooth(y: np.ndarray, share: float = 0.02) -> np.ndarray:
 
 @style()
 def draw(groups: dict[str, list[dict]], out: Path) -> Path:
-    """Draws one picture: reward, and distance in the second half of the episodes, against control steps."""
+    """Draws one figure: reward, and distance in the second half of the episodes, over control steps."""
     figure, ((reward, distance),) = canvas(1, 2, (10, 3.8))
     for (label, runs), colour in zip(groups.items(), COLOURS * 3, strict=False):
         grid = np.geomspace(max(r["step"][0] for r in runs), min(r["step"][-1] for r in runs), 300)

@@ -18,13 +18,13 @@ ACTIVATIONS = ("relu", "tanh")  # of networks.ACTIVATIONS, which needs JAX
 
 @dataclass(frozen=True)
 class Switch(OneOf):
-    """Kind of a truth value that an option names: `known` is (false, true)."""
+    """Kind of a boolean option with named values: `known` is (name of False, name of True)."""
 
     def __call__(self, text: str) -> Any:
         return super().__call__(text) == self.known[1]
 
     def holds(self, value: Any) -> bool:
-        """Returns True for a truth value."""
+        """Returns True for a bool."""
         return isinstance(value, bool)
 
 
@@ -39,7 +39,7 @@ class Hyperparameters:
     gamma: float = setting(0.99, number(0, 1), "discount of the reward for each control step")
     hidden: tuple[int, ...] = setting((64, 64), Listed(whole(1, 8192), 10, distinct=False), "widths of the hidden layers")
     activation: str = setting("tanh", OneOf(ACTIVATIONS), "activation of the hidden layers")
-    reward_scale: float = setting(1.0, number(0, 1e6, above=True), "factor of the reward in learning, not in reports")
+    reward_scale: float = setting(1.0, number(0, 1e6, above=True), "factor on the reward in learning, not in reports")
 
     def __post_init__(self):
         for name, one in declared(type(self)).items():
@@ -57,14 +57,12 @@ class PlainPPOConfig(Hyperparameters):
     horizon: int = setting(32, whole(1, 100_000), "control steps of each fish between two updates")
     epochs: int = setting(4, whole(1, 1000), "passes over each rollout")
     minibatches: int = setting(8, whole(1, 2**20), "parts of a rollout, one gradient step each; must divide envs x horizon")
-    final_rate: float = setting(
-        0.1, number(0, 10, above=True), "share of the learning rate that is left at the end of --steps; it falls geometrically"
-    )
+    final_rate: float = setting(0.1, number(0, 10, above=True), "final share of the learning rate, which decays geometrically")
     lam: float = setting(0.95, number(0, 1), "lambda of the advantage estimate (GAE)", "--lambda")
     clip: float = setting(0.2, number(0, 10, above=True), "bound on |probability ratio - 1|")
     value_weight: float = setting(0.5, number(0, 1e6), "weight of the critic's loss")
     entropy: float = setting(0.002, number(0, 1e3), "weight of the entropy bonus")
-    max_grad_norm: float = setting(0.5, number(0, 1e6, above=True), "bound on the norm of the gradient")
+    max_grad_norm: float = setting(0.5, number(0, 1e6, above=True), "clip the gradient to this norm")
     adam_eps: float = setting(1e-5, number(0, 1, above=True), "epsilon of Adam")
     sigma: float = setting(0.5, number(0, 10, above=True), "initial standard deviation of the action before tanh")
     reward_scale: float = setting(0.1, number(0, 1e6, above=True), "factor of the reward in learning, not in reports")
@@ -104,7 +102,7 @@ class PPOConfig(PlainPPOConfig):
     privileged: bool = setting(
         True,
         Switch(("plain", "privileged")),
-        "privileged: the critic sees the flow, the actor never does; plain: not",
+        "privileged: the critic sees the flow, the actor never does; plain: neither",
         "--critic",
     )
     mirror: float = setting(0.0, number(0, 1e3), "weight of the symmetry loss: the mirrored fish should act as the mirror image")
@@ -112,7 +110,7 @@ class PPOConfig(PlainPPOConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class OffPolicyConfig(Hyperparameters):
-    """Hyperparameters of the loop of off_policy.py and of two critics with targets; the paper's if it states them."""
+    """Hyperparameters of off-policy learning with two critics and target networks; the paper's where it states them."""
 
     algo: ClassVar[str] = "off-policy"
 
@@ -122,10 +120,10 @@ class OffPolicyConfig(Hyperparameters):
     activation: str = setting("relu", OneOf(ACTIVATIONS), "activation of the hidden layers")
     utd: float = setting(1.0, number(0, 1e3, above=True), "gradient steps for each control step of one fish")
     block: int = setting(16, whole(1, 100_000), "control steps of each fish between two reports")
-    batch: int = setting(256, whole(1, 2**20), "transitions of a gradient step")
-    buffer: int = setting(1_000_000, whole(1, 10**9), "transitions that are remembered")
-    warmup: int = setting(5_000, whole(0, 10**9), "control steps of random actions at the start")
-    tau: float = setting(0.005, number(0, 1, above=True), "share by which the target critics follow in a gradient step")
+    batch: int = setting(256, whole(1, 2**20), "transitions in a minibatch")
+    buffer: int = setting(1_000_000, whole(1, 10**9), "capacity of the replay buffer, transitions")
+    warmup: int = setting(5_000, whole(0, 10**9), "control steps of random actions before learning")
+    tau: float = setting(0.005, number(0, 1, above=True), "Polyak averaging factor of the target critics")
 
     def operations(self, width) -> float:
         """Number of operations of `utd` gradient steps: both critics and their targets, the actor twice, all gradients."""
@@ -146,12 +144,12 @@ class OffPolicyConfig(Hyperparameters):
 
 @dataclass(frozen=True, kw_only=True)
 class SACConfig(OffPolicyConfig):
-    """Hyperparameters of SAC; from the paper and, where it is silent, from Haarnoja et al."""
+    """Hyperparameters of SAC: from the paper where it states them, else from Haarnoja et al."""
 
     algo: ClassVar[str] = "sac"
 
-    initial_alpha: float = setting(0.2, number(0, 1e3, above=True), "temperature at the start")
-    target_entropy: float = setting(-1.0, number(-100, 100), "entropy that the temperature aims at, nat for each joint")
+    initial_alpha: float = setting(0.2, number(0, 1e3, above=True), "initial entropy temperature")
+    target_entropy: float = setting(-1.0, number(-100, 100), "target entropy, nat per joint")
 
 
 def weights(*layers: int) -> int:

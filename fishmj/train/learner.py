@@ -25,14 +25,14 @@ class PolicyLayers(NamedTuple):
 
 
 class Learner(Protocol):
-    """Learner, made by `Class(env, config, steps)`: environment, settings, control steps of the whole run, all fish together.
+    """Learner, made by `Class(env, config, steps)`; steps: control steps of the whole run, all fish together.
 
-    A train state is a NamedTuple of arrays and holds `actor`. A checkpoint keeps its leaves, and a resumed run continues from
-    them alone: random draws must follow from a key in it, and `self` must hold no learnt state. `--together` maps `init` and
-    `iterate` over seeds (jax.vmap). Settings that another algorithm also declares get its options, such as --envs and --gamma.
+    A train state is a NamedTuple of arrays and holds `actor`. A checkpoint stores only its leaves, and a resumed run continues
+    from them: random draws must come from a key in the state, and `self` must hold no learnt state. `--together` maps `init` and
+    `iterate` over seeds (jax.vmap). Settings that another algorithm also declares share its options, such as --envs and --gamma.
 
-    The environment (tasks/env.py) restarts by itself: its state has `final_obs` from before the restart, and `obs` from after it.
-    `terminated` is the end of an episode, `truncated` its time limit, from which one bootstraps; `diverged` rows are left out.
+    The environment (tasks/env.py) resets itself: `final_obs` is the observation before a reset, `obs` the one after it. Do not
+    bootstrap where `terminated`; bootstrap from `final_obs` where `truncated` (time limit); leave rows with `diverged` out.
     """
 
     name: str
@@ -55,10 +55,12 @@ class Learner(Protocol):
 
 
 def warn_of_rounding(learner: Learner, steps: int) -> None:
-    """Warns where whole iterations make more than a tenth more of the control steps that were asked."""
+    """Warns if rounding up to whole iterations adds more than a tenth to the requested control steps."""
     each = learner.steps_per_iteration
     if (whole := each * -(-steps // each)) > 1.1 * steps:
-        console.warn(f"train: {whole:,} control steps in place of {steps:,}: an iteration takes {each:,}; fewer --envs take less")
+        console.warn(
+            f"train: {whole:,} control steps instead of {steps:,}: an iteration has {each:,}; take fewer --envs for fewer"
+        )
 
 
 class StepRecord(NamedTuple):
@@ -66,14 +68,14 @@ class StepRecord(NamedTuple):
 
     reward: Any
     distance: Any  # m, at the end of the step
-    late: Any  # bool, in the second half of the episode's time, where the way in is over
-    done: Any  # bool, the episode ends for whatever reason
-    terminated: Any  # bool, it left the tank
+    late: Any  # bool, in the second half of the episode, after the approach
+    done: Any  # bool, the episode ends, for any reason
+    terminated: Any  # bool, the fish left the tank
     diverged: Any  # bool, the episode was dropped
 
 
 class EpisodeTally(NamedTuple):
-    """Return and length so far of the episode of each of B fish."""
+    """Running return and length of the current episode of each of B fish."""
 
     gain: Any  # (B,) undiscounted, unscaled rewards
     length: Any  # (B,) control steps
@@ -81,7 +83,7 @@ class EpisodeTally(NamedTuple):
 
     @classmethod
     def start(cls, xp, n: int) -> "EpisodeTally":
-        """Tally of n fish whose clocks start at random times (`reset` with stagger): their first episodes are not counted."""
+        """Tally of n fish whose clocks start at random times (`reset` with stagger); their first episodes do not count."""
         return cls(xp.zeros(n), xp.zeros(n), xp.zeros(n, bool))
 
 
@@ -104,7 +106,7 @@ def episode_metrics(tally: EpisodeTally, r: StepRecord) -> tuple[EpisodeTally, d
 
 
 def reported(figures) -> dict[str, float]:
-    """Metrics as numbers, without those of episodes if none ended."""
+    """Metrics as floats, without the episodic ones if no episode ended."""
     found = {name: float(value) for name, value in figures.items()}
     return {name: value for name, value in found.items() if name not in EPISODIC or value == value}
 
@@ -117,7 +119,7 @@ def record_of(after, limit: int) -> StepRecord:
 
 
 def metrics_of(xp, r: StepRecord) -> dict:
-    """Scalars: reward a step, distance and share of arrived in the late steps, share of ends outside, episodes ended, dropped."""
+    """Scalars `METRICS`: mean reward, distance and arrived share of late steps, share of ends outside, episodes, dropped ones."""
     late, ended = xp.maximum(r.late.sum(), 1), xp.maximum(r.done.sum(), 1)
     return {
         "reward": r.reward.mean(),

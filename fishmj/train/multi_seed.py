@@ -1,4 +1,4 @@
-"""Several seeds in one program: one compilation, one set of kernels, and on a GPU hardly slower than one run.
+"""Training of several seeds in one JAX program: one compilation, and on a GPU hardly slower than one run.
 
 Not resumable; for a resumable run, train seed by seed.
 """
@@ -29,7 +29,7 @@ from fishmj.train.training_run import (
 
 
 def train_together(settings: Settings, seeds: list[int], folder: Path, command: str | None = None) -> list[dict]:
-    """Trains one policy for each seed side by side; returns the summaries of `TrainingRun.go`; command as there."""
+    """Trains one policy for each seed in parallel; returns summaries as `TrainingRun.go` does. command: as in `TrainingRun`."""
     settings = settled(settings)
     _, learner, assess = learner_of(settings)
     training = jax.vmap(learner.init)(jnp.stack([jax.random.key(seed) for seed in seeds]))
@@ -40,8 +40,8 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
     bar.stage("compiling the first iteration")
     done, episodes, dropped = 0, 0.0, 0.0
     next_look = settings.assess_every
-    best = f"the best policies so far are in {folder}; --together cannot go on"
-    kept = lambda: best if any(lane.best for lane in lanes) else "nothing was learnt yet; start again with --force"
+    best = f"the best policies so far are in {folder}; --together cannot resume"
+    kept = lambda: best if any(lane.best for lane in lanes) else "nothing is saved yet; start again with --force"
     with stop_on_signal(kept) as asked, bar:
         while done < settings.steps and not asked:
             training, figures = iterate(training)
@@ -72,7 +72,7 @@ def train_together(settings: Settings, seeds: list[int], folder: Path, command: 
 
 
 class Lane:
-    """One seed among the others: its folder, its figures, its best policy."""
+    """One of the seeds: its folder, metrics and best policy."""
 
     def __init__(self, settings: Settings, folder: Path, policy_layers: Callable, command: str | None):
         self.settings, self.folder, self.policy_layers, self.command = settings, folder, policy_layers, command
@@ -81,7 +81,7 @@ class Lane:
         write_settings(settings, folder)
 
     def judge(self, figures: dict, actors, i: int, done: int) -> None:
-        """Records an assessment; keeps the actor, number i of the stacked ones, if it is the best so far."""
+        """Records an assessment; exports actor i of the stacked ones if it is the best so far."""
         self.board.write(done, {f"tune_{k}": v for k, v in figures.items()})
         if is_better(figures, self.best):
             self.best = figures

@@ -1,4 +1,4 @@
-"""Common part of algorithms with a replay buffer: buffer, loop, metrics. SAC is in sac.py; similar algorithms look alike.
+"""Common part of off-policy algorithms: replay buffer, loop, metrics. sac.py and this sketch show how to use it:
 
     class TD3(OffPolicy):
         name = "td3"
@@ -23,13 +23,13 @@ from fishmj.train.networks import forward
 
 
 class Transition(NamedTuple):
-    """One control step of each of B fish; observations scaled."""
+    """One control step of each of B fish, with scaled observations."""
 
     obs: Any
     action: Any
     reward: Any
-    next_obs: Any  # before a restart
-    terminated: Any  # 1 where the fish left the tank; 0 where only its time was up
+    next_obs: Any  # before a reset
+    terminated: Any  # 1 where the fish left the tank; 0 at a time limit
 
 
 class ReplayBuffer(NamedTuple):
@@ -46,14 +46,14 @@ class ReplayBuffer(NamedTuple):
         return cls(Transition(*map(jnp.zeros, shapes)), jnp.int32(0), jnp.int32(0))
 
     def add(self, transition: Transition) -> "ReplayBuffer":
-        """Buffer with B more transitions, in place of the oldest; the capacity is a multiple of B."""
+        """Buffer with B new transitions, which replace the oldest if it is full; the capacity is a multiple of B."""
         put = lambda array, rows: jax.lax.dynamic_update_slice_in_dim(array, rows, self.head, 0)
         n, capacity = len(transition.reward), len(self.data.reward)
         data = jax.tree.map(put, self.data, transition)
         return ReplayBuffer(data, jnp.minimum(self.size + n, capacity), (self.head + n) % capacity)
 
     def sample(self, key, n: int) -> Transition:
-        """Draws n transitions, each from all in the buffer."""
+        """Draws n transitions uniformly, with replacement."""
         rows = jax.random.randint(key, (n,), 0, self.size)
         return jax.tree.map(lambda array: array[rows], self.data)
 
@@ -70,7 +70,7 @@ class OffPolicyTrainState(NamedTuple):
 
     @property
     def actor(self):
-        """Network that is judged and written."""
+        """Network of the policy, which is assessed and exported."""
         return self.agent.actor
 
 
@@ -78,7 +78,7 @@ class OffPolicy:
     """Loop of a `learner.Learner` with a replay buffer: `block` environment steps an iteration, learning after each."""
 
     name: str
-    init_agent: Callable[..., Any]  # the three that an algorithm writes
+    init_agent: Callable[..., Any]  # these three belong to the algorithm
     explore: Callable[..., Any]
     update: Callable[..., Any]
 
@@ -133,13 +133,13 @@ class OffPolicy:
         random = jax.random.uniform(k_random, (c.envs, self.env.n_act), minval=-1.0)
         action = jnp.where(warming_up, random, self.explore(state.agent, obs, k_explore))
         after = self.env.step(state.env_state, action)
-        # a step with diverged physics is not stored: a sound fish's transition replaces it, so that B rows are always written
+        # the transition of a fish that diverged is replaced by that of a sound fish, so that B rows are always written
         rows = jnp.where(after.diverged, jnp.argmin(after.diverged), jnp.arange(c.envs))
         terminated = after.terminated.astype(jnp.float32)  # a time limit is no end: it bootstraps (arXiv 1712.00378)
         transition = Transition(obs, action, after.reward, after.final_obs / self.obs_scale, terminated)
         replay = state.replay.add(jax.tree.map(lambda a: a[rows], transition))
         keys = jax.random.split(k_update, self.updates_per_step)
-        # the buffer is closed over, not carried: a branch of `cond` would copy all of it at every step
+        # a closure, not an operand of `cond`, whose branches would copy the whole buffer at every step
         learn = lambda agent: jax.lax.scan(partial(self.update, replay), agent, keys)
         wait = lambda agent: (agent, jnp.zeros(self.updates_per_step))
         agent, loss = jax.lax.cond(warming_up, wait, learn, state.agent)

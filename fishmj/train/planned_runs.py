@@ -1,7 +1,6 @@
-"""List of training runs, the points of a sweep times the seeds: one after another here, or over the workers of a Ray cluster.
+"""Lists of training runs, one for each point of a sweep and each seed: run here in sequence, or by the workers of a Ray cluster.
 
-Every run has its own folder, which for Ray is on a disk that all machines share. A run that was under way when its worker or the
-command ended goes on from its newest checkpoint.
+Every run has its own folder, with Ray on a disk that all machines share. An interrupted run resumes from its newest checkpoint.
 """
 
 import argparse
@@ -25,11 +24,11 @@ from fishmj.base.store import Checkpoints
 from fishmj.control.policy import Policy
 from fishmj.train.settings import ALGORITHMS, REWARD, Settings, change, hyperparameters, referred
 
-SWEPT = ("algo", "command_path", "control_dt", "hide", "memory", "steps")  # by a sweep, beside hyperparameters and weights
+SWEPT = ("algo", "command_path", "control_dt", "hide", "memory", "steps")  # besides hyperparameters and weights
 
 
 class PlannedRun(NamedTuple):
-    """One run of a list. begin: policy with which it begins. point: swept options, `gamma=0.98,epochs=6`; "" without a sweep."""
+    """One run of a list. begin: policy that it starts from. point: swept options, `gamma=0.98,epochs=6`; "" without a sweep."""
 
     settings: Settings
     folder: Path
@@ -48,15 +47,15 @@ class PlannedRun(NamedTuple):
 
 
 def grid_points(parser: console.Parser, args: argparse.Namespace) -> list[tuple[str, argparse.Namespace]]:
-    """Points of `--sweep NAME VALUE ...`, as text and as parsed arguments; of a command without it the one point "".
+    """Points of `--sweep NAME VALUE ...`, as text and as parsed arguments; without a sweep the one point "".
 
-    Raises ConfigError: an option that is not swept, is given twice, or has no value.
+    Raises ConfigError: an option that cannot be swept, is given twice, or has fewer than two values.
     """
     axes, own = [], f"reward.{'|reward.'.join(REWARD)}".split("|")
     options = {name.replace("_", "-"): name for name in SWEPT} | {h.option[2:]: name for name, h in hyperparameters().items()}
     for name, *values in args.sweep:
         if name not in (known := sorted([*options, *own])):
-            why = "points are compared on the same task, robot and water"
+            why = "cannot be swept, because points share task, robot and water"
             raise ConfigError(f"--sweep {name}: {why}; expected one of {', '.join(known)}, without dashes")
         if len(values) < 2 or len(set(values)) < len(values):
             raise ConfigError(f"--sweep {name}: got {' '.join(values) or 'nothing'}; expected two or more different values")
@@ -86,7 +85,7 @@ def point_folder(point: str) -> str:
 
 
 def check_distinct(runs: Sequence[PlannedRun]) -> None:
-    """Raises ConfigError for two points of a sweep that are one."""
+    """Raises ConfigError if two points of a sweep are the same."""
     seen: dict[Any, str] = {}
     for run in runs:
         for key in (repr(run.settings), str(run.folder)):
@@ -95,10 +94,10 @@ def check_distinct(runs: Sequence[PlannedRun]) -> None:
 
 
 def train_run(run: PlannedRun, command: str, learner: Any = None, *, devices: int = 1, resume: bool = False, quiet: bool = False):
-    """Summary of one run as of `TrainingRun.go`, which goes on where there is a checkpoint.
+    """Trains one run, from its checkpoint if there is one; returns the summary of `TrainingRun.go`.
 
     Args:
-        learner: as from `learner_of`, by default made here. resume: refuse a run without a checkpoint.
+        learner: from `learner_of`; made here by default. resume: refuse a run without a checkpoint.
     """
     resume = resume or run.begun
     if train := run.settings.algo in ALGORITHMS and ALGORITHMS[run.settings.algo].train:
@@ -110,7 +109,7 @@ def train_run(run: PlannedRun, command: str, learner: Any = None, *, devices: in
 
 
 def _outcome(run: PlannedRun, *args: Any, **options: Any) -> dict:
-    """Summary of one run of several; of one that diverged the reason, so that the others go on."""
+    """Summary of one of several runs; if it diverged, the reason, so that the others continue."""
     try:
         return train_run(run, *args, **options)
     except SimDiverged as error:
@@ -118,12 +117,12 @@ def _outcome(run: PlannedRun, *args: Any, **options: Any) -> dict:
 
 
 def failed(run: PlannedRun, why: str) -> dict:
-    """Summary of a run that did not end."""
+    """Summary of a run that failed."""
     return {"folder": str(run.folder), "algorithm": run.settings.algo, "seed": run.settings.seed, "stopped": False, "failed": why}
 
 
 def train_here(runs: Sequence[PlannedRun], command: str, devices: int, resume: bool) -> list[dict]:
-    """Summaries of runs, one after another in this process, up to one that Ctrl-C stopped."""
+    """Trains the runs in sequence in this process; returns the summaries up to the run that Ctrl-C stopped."""
     from fishmj.train.training_run import learner_of
 
     if len(runs) == 1:
@@ -147,13 +146,13 @@ def train_here(runs: Sequence[PlannedRun], command: str, devices: int, resume: b
 
 
 def train_over_ray(address: str, runs: Sequence[PlannedRun], command: str, devices: int) -> list[dict]:
-    """Summaries of runs, each on a worker of a Ray cluster; errors as `RayCluster.spread`.
+    """Trains each run on a worker of a Ray cluster; returns the summaries. Errors as `RayCluster.spread`.
 
     Raises ConfigError: a folder that is not shared.
     """
     waiting = deque(RayTask(run.name, run._replace(folder=run.folder.resolve())) for run in runs)
     cluster, made = RayCluster(address), {}
-    more = f"the runs keep checkpoints; {interrupt.again()}, with --resume"
+    more = f"the runs have checkpoints; {interrupt.again()}, with --resume"
     total = sum(run.settings.steps for run in runs)
     bar = console.Progress(total, f"train {len(runs)} runs over Ray", "steps")
 
@@ -168,7 +167,7 @@ def train_over_ray(address: str, runs: Sequence[PlannedRun], command: str, devic
         for task, summary in cluster.spread(work, waiting, gpus=devices, go_on=show_progress):
             made[task.id] = summary
     if away := [policy for summary in made.values() if not Path(policy := summary.get("policy", ".")).exists()]:
-        raise ConfigError(f"--ray: {away[0]} is on the worker's machine only; take an --out on a disk that all machines share")
+        raise ConfigError(f"--ray: {away[0]} is on the worker's machine only; give an --out on a disk that all machines share")
     return [made.get(run.name) or failed(run, "no worker ended it") for run in runs]
 
 
@@ -190,23 +189,23 @@ def steps_of(folder: Path) -> int:
 
 
 def resumed(argv: Sequence[str]) -> str:
-    """Command that goes on with what `fishmj train *argv` began."""
+    """Command that resumes the runs of `fishmj train *argv`."""
     words = [word for word in argv if word not in ("--force", "--resume")]
     return shlex.join(["fishmj", "train", *words, "--resume"])
 
 
 def kept_words(runs: Sequence[PlannedRun], argv: Sequence[str]) -> str:
-    """Text of an interrupt while nothing trains, such as during compilation: what is kept of the runs, and how to go on."""
+    """Text of an interrupt outside training, such as during compilation: what is saved, and how to continue."""
     if kept := [run.folder for run in runs if run.begun]:
-        return f"{', '.join(map(str, kept))} hold{'' if kept[1:] else 's'} what was learnt; go on with: {resumed(argv)}"
-    return f"nothing was learnt yet; {interrupt.again('go on' if '--resume' in argv else 'start again')}"
+        return f"{', '.join(map(str, kept))} hold{'' if kept[1:] else 's'} checkpoints; go on with: {resumed(argv)}"
+    return f"nothing is saved yet; {interrupt.again('go on' if '--resume' in argv else 'start again')}"
 
 
 def sweep_table(runs: Sequence[PlannedRun], results: Sequence[dict]) -> dict:
-    """Table of a sweep: {"rows": one a run, "points": means over the seeds, "best": the best of the points that are complete}.
+    """Table of a sweep: {"rows": one for each run, "points": means over the seeds, "best": the best complete point}.
 
-    All figures are of the tuning flows (`tune_...` of the summaries), on which runs also chose their checkpoints: they rank
-    points and judge none. The best is None as long as no point is complete.
+    All figures are from the tuning flows (`tune_...` of the summaries), on which runs also choose their best policy: they rank
+    points, but are no unbiased evaluation. "best" is None as long as no point is complete.
     """
     told = lambda r: {k.removeprefix("tune_"): v for k, v in r.items() if k.startswith("tune_")}
     rows: list[dict] = []
@@ -221,7 +220,7 @@ def sweep_table(runs: Sequence[PlannedRun], results: Sequence[dict]) -> dict:
         figures = {key: round(float(np.mean([f[key] for f in found])), 5) for key in found[0]} if complete else {}
         means.append({"point": point, "seeds": len(found), **figures})
     ranked = [mean for mean in means if len(mean) > 2]
-    # points may differ in the weights of the reward, so their returns do not compare; a task's own reward has no weights
+    # points with other reward weights have incomparable returns; a task's own reward has no weights
     weighted = bool(runs[0].settings.reward)
     rank = lambda mean: (min(0.99, mean["stayed"]), -mean["rmse_last10"]) if weighted else mean["return"]
     best = max(ranked, key=rank) if ranked else None

@@ -3,9 +3,9 @@
     L = -E min(rho A, clip(rho, 1 - eps, 1 + eps) A) + c_v E (V - R)^2 - c_e H + c_m E |mu(s) + mu(S s)|^2
     A_t = sum_k (gamma lambda)^k delta_{t+k},   delta_t = r_t + gamma V(s'_t) - V(s_t),   R_t = A_t + V(s_t)
 
-The action is tanh(u) with u ~ N(mu(s), sigma); u is stored, so the ratio needs no correction for tanh. An episode that ends
-at its time limit bootstraps from the observation before the restart; one that leaves the tank does not. The last term asks that
-the fish's mirror image S s acts as the mirror image, -mu(s) (Yu et al. 2018, arXiv 1801.08093).
+The action is tanh(u) with u ~ N(mu(s), sigma); u is stored, so the ratio needs no correction for tanh. At a time limit the value
+is bootstrapped from the observation before the reset; if the fish leaves the tank it is not. The last term is a symmetry loss:
+in the mirrored state S s the action should be -mu(s) (Yu et al. 2018, arXiv 1801.08093).
 """
 
 from functools import partial
@@ -22,8 +22,8 @@ from fishmj.train.learner import EpisodeTally, PolicyLayers, episode_metrics, me
 from fishmj.train.networks import forward, mlp
 from fishmj.train.sharding import COLUMNS, EACH, ROWS, Shards
 
-FAR = 80.0  # of a log ratio: one fish far outside its tank would else make exp or log infinite, and end the run
-SHUFFLE = 1_000_000_000  # added to the iteration's number: the keys of its minibatches are none of its exploration
+FAR = 80.0  # bound on the log ratio: without it, one fish far outside its tank makes exp or log infinite and ends the run
+SHUFFLE = 1_000_000_000  # added to the iteration's number, so that minibatches and exploration use different keys
 
 
 class PPOTrainState(NamedTuple):
@@ -54,8 +54,8 @@ class Batch(NamedTuple):
 class PPO:
     """PPO as a `learner.Learner`: `iterate` collects one rollout and updates the networks `epochs` times over it.
 
-    devices: number of devices of this machine among which the fish are split; it divides them (`build.check_devices`).
-    moves: the actor learns, too; False teaches the critic alone.
+    devices: number of devices that share the fish; it must divide their number (`build.check_devices`).
+    moves: False trains the critic only.
     """
 
     name = "ppo"
@@ -87,7 +87,7 @@ class PPO:
         return jnp.tanh(forward(actor, obs / self.obs_scale, self.config.activation))
 
     def policy_layers(self, actor) -> PolicyLayers:
-        """Layers of the actor, which is the mean of u."""
+        """Layers of the actor, whose output is the mean of u."""
         return PolicyLayers(actor, self.config.activation)
 
     def value(self, critic, obs, privileged_obs):
@@ -146,21 +146,21 @@ class PPO:
             mu = forward(state.actor, obs, c.activation)
             u = mu + sigma * jax.random.normal(key, mu.shape)
             after = self.env.step(env_state, jnp.tanh(u))
-            # the environment has restarted ended episodes by itself: V(s') needs the observation before the restart
+            # the environment has already reset ended episodes: V(s') needs the observation before the reset
             next_obs, next_privileged_obs = after.final_obs / self.obs_scale, after.final_privileged / self.privileged_scale
             next_value = self.value(state.critic, next_obs, next_privileged_obs)
-            # only leaving the tank ends the task; at the time limit the fish would have continued (arXiv 1712.00378)
+            # only leaving the tank terminates the task; a time limit does not (arXiv 1712.00378)
             next_value = jnp.where(after.terminated, 0.0, next_value)
             log_prob = gaussian(u, mu, state.log_sigma)
             value = self.value(state.critic, obs, privileged_obs)
             td_target = c.reward_scale * after.reward + c.gamma * next_value
-            td_target = jnp.where(after.diverged, value, td_target)  # delta = 0: a step that the physics lost teaches nothing
+            td_target = jnp.where(after.diverged, value, td_target)  # delta = 0: a diverged step is ignored
             return after, (obs, privileged_obs, u, log_prob, value, td_target, record_of(after, self.env.limit))
 
         keys = jax.random.split(jax.random.fold_in(state.key, state.iteration), c.horizon)
         env_state, (obs, privileged_obs, u, log_prob, value, td_target, record) = jax.lax.scan(step, state.env_state, keys)
 
-        def gae(advantage, row):  # backwards in time; where an episode ends, the next one's errors are not its own
+        def gae(advantage, row):  # backwards in time; the sum stops at the end of an episode
             delta, goes_on = row
             advantage = delta + c.gamma * c.lam * goes_on * advantage
             return advantage, advantage
@@ -177,7 +177,7 @@ class PPO:
         log_prob = gaussian(b.u, mu, log_sigma)
         log_ratio = jnp.clip(log_prob - b.log_prob, -FAR, FAR)
         ratio = jnp.exp(log_ratio)
-        # normalised in each minibatch: the step size does not depend on the scale of the reward
+        # advantages are normalised in each minibatch, so that the step size does not depend on the scale of the reward
         mean, std = self.shards.moments(b.advantages)
         advantages = (b.advantages - mean) / (std + 1e-6)
         surrogate = jnp.minimum(ratio * advantages, jnp.clip(ratio, 1 - c.clip, 1 + c.clip) * advantages).mean()
@@ -194,7 +194,7 @@ class PPO:
     def update(self, state: PPOTrainState, batch: Batch):
         """Does `epochs` passes over the batch. Returns ((actor, log_sigma, critic), optimiser's state, (losses, KL))."""
         c = self.config
-        batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), batch)  # of (T, B) rows; none needs its neighbour now
+        batch = jax.tree.map(lambda a: a.reshape((-1,) + a.shape[2:]), batch)  # (T B, ..): the order of rows no longer matters
         count = len(batch.value)  # rows of this device
 
         def minibatch(carry, rows):

@@ -80,7 +80,7 @@ class SAC(OffPolicy):
         alpha = jnp.exp(agent.log_alpha)
         opt_actor, opt_critics, opt_alpha = agent.opt_states
 
-        # the smaller of two slow copies: a critic that learns from its own newest estimate also learns its errors
+        # minimum of the two target critics: it reduces the overestimation of bootstrapped values
         next_action, next_log_prob = self.sample(agent.actor, b.next_obs, k_next)
         next_q = self.q(agent.target_critics, b.next_obs, next_action).min(0)
         y = c.reward_scale * b.reward + c.gamma * (1 - b.terminated) * (next_q - alpha * next_log_prob)
@@ -93,7 +93,7 @@ class SAC(OffPolicy):
         critics = optax.apply_updates(agent.critics, updates)
 
         def actor_loss(actor):
-            # actions drawn now, not those of the buffer: the gradient goes through the draw into the actor
+            # new actions, not the buffer's: the gradient passes through the sample to the actor (reparameterisation)
             action, log_prob = self.sample(actor, b.obs, k_now)
             return (alpha * log_prob - self.q(critics, b.obs, action).min(0)).mean(), log_prob.mean()
 

@@ -1,9 +1,9 @@
-"""SAC and PPO by stable-baselines3 (extra `sb3`) on the same fish, into the same policy file.
+"""SAC and PPO of stable-baselines3 (extra `sb3`), with the same fish and the same policy file.
 
-`StableLearner` gives SB3's learners the interface of our own (`init`, `iterate`, `act`), so that `TrainingRun` also runs them:
-progress line, assessment on the tuning flows, export, Ctrl-C, a full disk. SB3's own checkpoints are pickles; here a checkpoint
-holds the tensors only: networks, optimisers, temperature. The fish are NOT kept: a resumed run begins new episodes, and does not
-repeat the uninterrupted one to the bit. Nor is SAC's replay buffer: it first refills `warmup` steps of it without learning.
+`StableLearner` gives SB3's learners fishmj's interface (`init`, `iterate`, `act`), so that `TrainingRun` runs them with progress
+line, assessment, export, Ctrl-C and full-disk handling. SB3's own checkpoints are pickles; here a checkpoint holds only tensors:
+networks, optimisers, temperature. It does NOT hold the fish: a resumed run begins new episodes, and differs from an uninterrupted
+one. It does not hold SAC's replay buffer either: a resumed run first collects `warmup` steps without learning.
 """
 
 from abc import ABC, abstractmethod
@@ -30,17 +30,17 @@ from fishmj.train.networks import forward
 from fishmj.train.settings import ALGORITHMS, Settings, change, referred
 from fishmj.train.training_run import Assessment, TrainingRun
 
-ENDS = {"return": "r", "length": "l"}  # of an episode, as SB3's Monitor calls them
-UPDATES = 256  # gradient steps between two reports, about
-SATURATED = 10.0  # tanh of it is 1 in float32: SB3's bound on u, which it requires to be finite, changes no action
+ENDS = {"return": "r", "length": "l"}  # keys of an ended episode in SB3's Monitor
+UPDATES = 256  # approximate number of gradient steps between two reports
+SATURATED = 10.0  # SB3 needs a finite bound on u; tanh(10) is 1 in float32, so this bound changes no action
 
 
 class FishVecEnv(VecEnv):
     """n fish with the run's task, reward and engine (`auto`: the fastest on a CPU), with the policy's input as observation.
 
     Observations are scaled to order one (`station_hold.input_scale`), hidden groups are zero, and with memory m > 1 the newest is
-    followed by m - 1 pairs (action, observation) back in time. An episode that ends at its time limit has `TimeLimit.truncated`,
-    so that it bootstraps from `terminal_observation`; one that left the tank does not. `tally`: steps since the last `metrics`.
+    followed by m - 1 pairs (action, observation) back in time. At a time limit `TimeLimit.truncated` is set, so that SB3
+    bootstraps from `terminal_observation`; if the fish leaves the tank it is not. `tally`: steps since the last `metrics`.
     """
 
     def __init__(self, settings: Settings, n: int, box: str = "train", reward_scale: float = 1.0):
@@ -70,7 +70,7 @@ class FishVecEnv(VecEnv):
         return self.seen
 
     def seed(self, seed: int | None = None):
-        """Sets the seeds of the fish at the next reset, unlike those of any other `seed` (SB3's own are seed, seed + 1, ...)."""
+        """Sets the fish's seeds for the next reset: no two values of `seed` share one, unlike SB3's seed, seed + 1, ..."""
         self._seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(self.num_envs)]
         return self._seeds
 
@@ -118,7 +118,7 @@ class FishVecEnv(VecEnv):
         return {**metrics_of(np, record), **means}
 
     def _start(self, raw: np.ndarray) -> np.ndarray:
-        """Input at the start of an episode, as if the fish had always rested here."""
+        """Policy input at the start of an episode: the memory is filled as if the fish had rested at the start pose."""
         sight = raw * self.factor
         pair = np.concatenate([np.zeros((self.num_envs, self.joints), np.float32), sight], 1)
         return np.concatenate([sight] + [pair] * (self.memory - 1), 1)
@@ -128,11 +128,11 @@ class FishVecEnv(VecEnv):
         self.fish.close()
 
     def get_attr(self, attr_name: str, indices=None) -> list:
-        """Attribute of the whole environment, once for each requested fish."""
+        """Value of an attribute of the environment, repeated for each requested fish."""
         return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value, indices=None) -> None:
-        """Sets an attribute of the whole environment: the fish have none of their own."""
+        """Sets an attribute of the environment; single fish have no attributes."""
         setattr(self, attr_name, value)
 
     def env_method(self, method_name: str, *method_args, indices=None, **method_kwargs) -> list:
@@ -140,19 +140,19 @@ class FishVecEnv(VecEnv):
         return [getattr(self, method_name)(*method_args, **method_kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
-        """Returns False for each fish: the fish are not gymnasium environments. `infos` has the episodes as SB3's Monitor."""
+        """Returns False for each fish: single fish are no Gymnasium environments. `infos` has the episodes as SB3's Monitor."""
         return [False] * len(list(self._get_indices(indices)))
 
 
 def engine_of(settings: Settings) -> str:
-    """Name of the engine; `auto` is the fastest on a CPU, where the environment is, whatever device learns."""
+    """Name of the engine; `auto` is the fastest on a CPU, because the environment runs there whichever device learns."""
     return fastest() if settings.engine == "auto" else settings.engine
 
 
 class SquashedVecEnv(VecEnvWrapper):
-    """`FishVecEnv` whose actions are u: the fish get tanh(u), which the policy file has, too.
+    """`FishVecEnv` with u as action: the fish get tanh(u), as a policy file does.
 
-    SB3's PPO draws u from a Gaussian and clips it; clipped at +-1 without tanh, its actions would be no policy of fishmj.
+    SB3's PPO clips its Gaussian actions instead; a policy file of fishmj cannot express clipping.
     """
 
     def __init__(self, shoal: FishVecEnv):
@@ -178,13 +178,13 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
     shoal = FishVecEnv(settings, config.envs, reward_scale=config.reward_scale)
     learner = referred(ALGORITHMS[settings.algo].learner)(shoal, config, settings.steps)
     warn_of_rounding(learner, settings.steps)
-    judge = change(settings, engine="planar" if settings.engine == "batch" else settings.engine)  # assessments run inside JAX
+    judge = change(settings, engine="planar" if settings.engine == "batch" else settings.engine)  # an assessment runs inside JAX
     assess = Assessment(environment(judge, "tune"), learner.act, settings.assess_episodes)
     run = TrainingRun(settings, folder, resume=resume, quiet=quiet, learner=(shoal, learner, assess), command=command)
     if resume:
         console.warn(learner.on_resume)
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # networks this small lose by a second thread, on a busy machine by ten times
+    torch.set_num_threads(1)  # a second thread slows networks this small, up to ten times on a busy machine
     try:
         return run.go()
     finally:
@@ -192,18 +192,18 @@ def train_sb3(settings: Settings, folder, *, resume: bool = False, quiet: bool =
 
 
 class SB3TrainState(NamedTuple):
-    """State that a checkpoint keeps."""
+    """State stored in a checkpoint."""
 
     actor: list  # (weights (in, out), bias) of the mean of u
-    tensors: dict  # everything of SB3's, by name
+    tensors: dict  # all tensors of SB3's learner, by name
 
 
 class StableLearner(ABC):
-    """A learner of SB3's behind `init` and `iterate`. Subclasses make the model, and name its tensors and figures."""
+    """Wraps a learner of SB3 as a `Learner`. Subclasses make the model, and list its tensors and metrics."""
 
     name: str
     steps_per_iteration: int
-    on_resume = "the fish were not kept: they begin new episodes"
+    on_resume = "checkpoints do not hold the fish: they begin new episodes"
 
     def __init__(self, shoal: FishVecEnv, config: Any, steps: int):
         self.shoal, self.config, self.steps = shoal, config, steps
@@ -217,7 +217,7 @@ class StableLearner(ABC):
         network = {"net_arch": list(c.hidden), "activation_fn": activation}
         self.seed = int(jax.random.key_data(key)[-1])
         self.model = self._make(network, gamma=c.gamma, learning_rate=c.learning_rate, seed=self.seed)
-        self.model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder for each `learn`
+        self.model.set_logger(Logger(folder=None, output_formats=[]))  # the default logger makes a folder for each `learn`
         return self._taken()
 
     def iterate(self, training: SB3TrainState) -> tuple[SB3TrainState, dict]:
@@ -242,7 +242,7 @@ class StableLearner(ABC):
 
     @abstractmethod
     def _figures(self, said: dict) -> dict[str, float]:
-        """Metrics of the algorithm from what SB3 has logged."""
+        """Metrics of the algorithm, from SB3's log."""
 
     @abstractmethod
     def _actor(self) -> tuple:
@@ -250,14 +250,14 @@ class StableLearner(ABC):
 
     @abstractmethod
     def _optimisers(self) -> dict[str, Any]:
-        """Optimisers of the networks by the name under which a checkpoint keeps their moments."""
+        """Optimisers of the networks, by their name in a checkpoint."""
 
     def _loose(self) -> dict[str, Any]:
-        """Tensors to keep that are no part of `model.policy`."""
+        """Tensors for a checkpoint that do not belong to `model.policy`."""
         return {}
 
     def _taken(self) -> SB3TrainState:
-        """State of the learner as NumPy arrays (copies)."""
+        """Copies the learner's state to NumPy arrays."""
         take = lambda t: t.detach().cpu().numpy().copy()
         m = self.model
         tensors = {f"policy.{k}": take(v) for k, v in m.policy.state_dict().items()}
@@ -271,7 +271,7 @@ class StableLearner(ABC):
         return self._now
 
     def _put(self, training: SB3TrainState) -> None:
-        """Continues from these tensors, with fresh episodes."""
+        """Loads these tensors into the learner and starts new episodes."""
         m = self.model
         tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
         m.policy.load_state_dict({k.removeprefix("policy."): v for k, v in tensor.items() if k.startswith("policy.")})
@@ -314,10 +314,10 @@ class StablePPO(StableLearner):
             rollout_buffer_class=FiniteRolloutBuffer,
             rollout_buffer_kwargs={"shoal": self.shoal},
             policy_kwargs=network,
-            device="cpu",  # a GPU is slower with networks this small, says SB3
+            device="cpu",  # SB3 recommends it: a GPU is slower with networks this small
             **common,
         )
-        # SB3 counts what is left of one `learn`, which here is one iteration
+        # SB3's schedule covers one `learn`, which here is a single iteration
         model.lr_schedule = lambda _: c.learning_rate * c.final_rate ** min(1.0, model.num_timesteps / self.steps)
         return model
 
@@ -342,7 +342,7 @@ class StableSAC(StableLearner):
         super().__init__(shoal, config, steps)
         self.per_step = max(1, round(config.utd * config.envs))
         self.steps_per_iteration = config.envs * max(1, min(config.block, UPDATES // self.per_step))
-        self.on_resume = f"the replay buffer was not kept: {config.warmup:,} steps of the policy refill it before it learns"
+        self.on_resume = f"checkpoints do not hold the replay buffer: the policy refills it by {config.warmup:,} steps first"
 
     def _make(self, network: dict, **common) -> SAC:
         c, capacity = self.config, max(self.config.envs, min(self.config.buffer, self.steps))
@@ -380,7 +380,7 @@ class StableSAC(StableLearner):
 
 
 class RefillCallback(SAC):
-    """SB3's SAC that learns only while its buffer holds `learning_starts` steps: a resumed one refills it first."""
+    """SB3's SAC that learns only if its buffer holds `learning_starts` steps: a resumed run refills it first."""
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Trains as SB3's SAC, if the buffer holds enough steps."""
@@ -389,10 +389,10 @@ class RefillCallback(SAC):
 
 
 class FiniteReplayBuffer(ReplayBuffer):
-    """A replay buffer without dropped steps: the transition of a sound fish takes the place of one that diverged."""
+    """Replay buffer that replaces the transition of a fish that diverged by that of a sound fish."""
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
-        """Adds transitions as SB3's ReplayBuffer, with those of diverged fish replaced."""
+        """Adds transitions as SB3's ReplayBuffer does, with those of diverged fish replaced."""
         bad = np.array([info.get("diverged", False) for info in infos])
         if bad.all():
             return
@@ -401,7 +401,7 @@ class FiniteReplayBuffer(ReplayBuffer):
 
 
 class FiniteRolloutBuffer(RolloutBuffer):
-    """A rollout buffer in which the step of a fish that diverged teaches nothing: its return is its value, its advantage 0."""
+    """Rollout buffer that ignores steps of fish that diverged: their return is their value, their advantage 0."""
 
     def __init__(self, *args, shoal: FishVecEnv, **options):
         super().__init__(*args, **options)

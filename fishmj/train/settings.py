@@ -13,20 +13,20 @@ from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.tasks.reference import COURSES
 from fishmj.water.choice import LBM
 
-FILE = "settings.json"  # of a run: its settings, every hyperparameter among them, and what made it
-MADE_BY = "made_by"  # key of that file: versions and commit
+FILE = "settings.json"  # all settings of a run, hyperparameters included, and the versions that made it
+MADE_BY = "made_by"  # key of the versions and the commit in that file
 FREE = ("steps", "assess_every", "checkpoint_every", "solver.device")  # settings that a resumed run may change
 REWARD = ("wG", "wD", "wS")
 
 
 class Registered(NamedTuple):
-    """Place of a learning algorithm, `module:Class` each; nothing is imported before it is used."""
+    """Registered learning algorithm, as references `module:Class`, which are imported when they are used."""
 
     config: str  # dataclass of its hyperparameters
     learner: str  # a train.learner.Learner
-    budget: int = 0  # control steps where `--algo` alone names it; 0: the preset's
-    train: str = ""  # module:function in place of TrainingRun, for one that brings its own environment
-    packages: tuple[str, ...] = ()  # whose versions a run states beside those of every run
+    budget: int = 0  # default control steps with `--algo`; 0: the preset's
+    train: str = ""  # module:function in place of TrainingRun, for an algorithm with an environment of its own
+    packages: tuple[str, ...] = ()  # additional packages whose versions a run records
 
 
 _STABLE_SAC = Registered(
@@ -53,7 +53,7 @@ def referred(text: str) -> Any:
 
 
 def told(value: Any, kind: Any) -> str:
-    """Value of a hyperparameter in the form of its option."""
+    """Text of a hyperparameter's value, as its option takes it."""
     if isinstance(value, bool):
         return kind.known[value]
     return ",".join(map(str, value)) if isinstance(value, tuple) else f"{value:g}" if isinstance(value, float) else str(value)
@@ -92,8 +92,8 @@ class Settings:
     algo: str = "ppo"
     engine: str = "auto"
     robot: str = "fish"
-    water: str = "auto"  # of fishmj.water.choice; auto: fitted where the robot has one
-    command_path: str = ""  # of the servo commands between two decisions; "": the robot's
+    water: str = "auto"  # name in fishmj.water.choice; auto: fitted if the robot has a fitted water
+    command_path: str = ""  # path of servo commands between two decisions; "": the robot's
     control_dt: float = 0.0  # s between two decisions; 0: the robot's
     steps: int = 8_000_000  # control steps, all fish together
     seed: int = 0
@@ -107,7 +107,7 @@ class Settings:
 
 
 PRESETS = {
-    # a laptop: small network, gusts as strong as the demo's; three to six minutes on two cores
+    # for a laptop: small network, gusts as in the demo; three to six minutes on two cores
     "quick": Settings(
         preset="quick", task={"turbulence": "gust", "intensity": (0.0, 0.15)}, algorithm={"hidden": (64, 64), "envs": 512}
     ),
@@ -129,7 +129,7 @@ PRESETS = {
         task={"turbulence": "gust", "intensity": (0.0, 0.12)},
         algorithm={"hidden": (256, 256), "envs": 64},
     ),
-    # fine-tuning in the flow solver, one tank a fish
+    # fine-tuning in the flow solver, one tank for each fish
     LBM: Settings(
         preset=LBM, engine=LBM, steps=100_000, assess_every=25_000, assess_episodes=24,
         solver={"domain": PLAIN.domain, "slip": PLAIN.slip, "device": "auto"},
@@ -138,7 +138,7 @@ PRESETS = {
     ),
 }  # fmt: skip
 
-ON_MJX = {"paper": {"envs": 16384}}  # of a preset: with 8,192 fish MJX trained at a quarter of the rate on an H200
+ON_MJX = {"paper": {"envs": 16384}}  # changes of a preset for mjx: with 8,192 fish an H200 trained at a quarter of the rate
 
 
 def preset(name: str) -> Settings:
@@ -149,7 +149,7 @@ def preset(name: str) -> Settings:
 
 
 def change(settings: Settings, **changes) -> Settings:
-    """Copy of the settings with top-level fields replaced and `task`, `algorithm`, `reward`, `solver` merged."""
+    """Copy of the settings; `changes` replace top-level fields, and are merged into `task`, `algorithm`, `reward`, `solver`."""
     known = {f.name for f in fields(Settings)}
     for key in changes:
         if key not in known:
@@ -163,7 +163,7 @@ def change(settings: Settings, **changes) -> Settings:
     for key, weight in made.reward.items():
         checked(f"reward weight {checked_name('reward weight', key, REWARD)}", weight, 0)
     if all(made.reward.get(key) == 0 for key in REWARD):
-        raise ConfigError(f"reward weights {', '.join(REWARD)} are all 0: there is nothing to learn; leave one of them out")
+        raise ConfigError(f"reward weights {', '.join(REWARD)} are all 0, so there is nothing to learn; set one above 0")
     if made.steps <= 0 or made.seed < 0:
         raise ConfigError(f"steps = {made.steps} and seed = {made.seed}: steps must be positive, the seed not negative")
     if made.assess_every <= 0 or made.assess_episodes <= 0:
@@ -185,7 +185,7 @@ def from_dict(table: dict) -> Settings:
 
 
 def of_run(folder: Path) -> Settings | None:
-    """Settings that the run in a folder has written; None if there are none. Raises StoreError, ConfigError."""
+    """Settings of the run in a folder, from its file; None without a file. Raises StoreError, ConfigError."""
     path = folder / FILE
     if not path.is_file():
         return None
@@ -195,7 +195,9 @@ def of_run(folder: Path) -> Settings | None:
         table.setdefault("solver", {})  # runs of earlier versions had none
     expected = {f.name: dict if f.default is MISSING else type(f.default) for f in fields(Settings)}
     if not isinstance(table, dict) or set(table) != set(expected) or not all(_is(table[k], t) for k, t in expected.items()):
-        raise ConfigError(f"{path}: no settings of a training by this version of fishmj; give them again on the command line")
+        raise ConfigError(
+            f"{path}: not the settings of a training by this version of fishmj; give them on the command line again"
+        )
     return from_dict(table)
 
 
@@ -204,16 +206,16 @@ def _is(value: Any, kind: type) -> bool:
 
 
 def own_code(settings: Settings) -> dict[str, str]:
-    """Option -> name of the user's own code in a run."""
+    """User's own code in a run: {option: name}."""
     course = settings.task.get("course", "station_hold")
     own = {"--algo": settings.algo if settings.algo not in ALGORITHMS else "", "--task": course if course not in COURSES else ""}
     return {option: name for option, name in own.items() if name}
 
 
 def same(folder: Path, mine: Settings, theirs: dict) -> None:
-    """Refuses to continue a run with settings other than its own, `theirs` as in its files.
+    """Refuses to resume a run with settings that differ from its own; theirs: the run's, as in its files.
 
-    Raises ConfigError: with both values of those that differ.
+    Raises ConfigError: settings differ; the message has both values.
     """
     if other := differing(as_dict(mine), theirs, "{key} = {mine}, the run has {theirs}", FREE):
-        raise ConfigError(f"{folder}: {other}; a run goes on with its own settings: leave these options out")
+        raise ConfigError(f"{folder}: {other}; a run resumes with its own settings: leave these options out")

@@ -1,7 +1,7 @@
-"""Training on several devices of one machine: each has an equal share of the fish, and all have the same networks.
+"""Data-parallel training on several devices of one machine: each has an equal share of the fish and a copy of the networks.
 
-Each device draws its own random numbers and shuffles its own rows. Every update takes the mean gradient of all devices, so that
-the networks stay equal. On one device nothing changes, to the bit.
+Each device draws its own random numbers and shuffles its own rows. Every update uses the mean gradient of all devices, so that
+the copies stay equal. With one device, results are bit-identical to training without this module.
 """
 
 from collections.abc import Callable
@@ -29,23 +29,23 @@ def with_empty(like: Any, tree: Any) -> Any:
 
 
 class Shards:
-    """First `count` devices of this machine. Raises ConfigError if there are fewer.
+    """Handles the first `count` devices of this machine. Raises ConfigError if there are fewer.
 
-    `mean`, `moments` and `own` belong inside the work that `split` runs, or on one device.
+    Call `mean`, `moments` and `own` inside the function that `split` runs, or on one device.
     """
 
     def __init__(self, count: int):
         there = jax.local_devices()
         if count > len(there):
             seen = f"JAX sees {len(there)} ({there[0].device_kind})"
-            raise ConfigError(f"--devices {count}: {seen}; take at most so many, or change CUDA_VISIBLE_DEVICES")
+            raise ConfigError(f"--devices {count}: {seen}; take at most that many, or change CUDA_VISIBLE_DEVICES")
         self.count = count
         self.mesh = Mesh(there[:count], (AXIS,))
 
     def split(self, work: Callable, given: Any, returned: Any) -> Callable:
-        """`work` on every device with its share of the argument; `given` and `returned` are layouts.
+        """Returns `work` as a function that runs on every device with its share; given, returned: layouts of input and output.
 
-        Empty arrays stay outside: where XLA for GPUs removes them from a split computation, Shardy crashes (jaxlib 0.11.2).
+        Empty arrays are kept out: XLA for GPUs removes them from a split computation, and Shardy then crashes (jaxlib 0.11.2).
         """
         split = partial(jax.shard_map, mesh=self.mesh, check_vma=False)
 
@@ -65,12 +65,12 @@ class Shards:
 
     def place(self, tree: Any, layout: Any) -> Any:
         """Tree, moved to the devices in this layout."""
-        # XLA returns an empty array whole; placed otherwise, it would make the second iteration compile again
+        # XLA returns an empty array unsplit; another placement would make the second iteration compile again
         where = lambda leaf, spec: NamedSharding(self.mesh, spec if leaf.size else EACH)
         return jax.device_put(tree, jax.tree.map(where, tree, layout))
 
     def own(self, key):
-        """Random key of this device."""
+        """Random key for this device alone, from the common key."""
         return jax.random.fold_in(key, jax.lax.axis_index(AXIS))
 
     def mean(self, tree: Any) -> Any:
@@ -78,7 +78,7 @@ class Shards:
         return tree if self.count == 1 else jax.lax.pmean(tree, AXIS)
 
     def moments(self, x) -> tuple[Any, Any]:
-        """Mean and standard deviation of the numbers of all devices."""
+        """Mean and standard deviation of x over all devices."""
         if self.count == 1:
             return x.mean(), x.std()
         mean, variance = jax.lax.all_gather(jnp.stack([x.mean(), x.var()]), AXIS).T

@@ -1,8 +1,8 @@
-"""Cost of a training run before compilation: time from the rates of engine and arithmetic, memory from its arrays.
+"""Estimate of a training run's cost before it starts: time from measured rates, memory from the sizes of its arrays.
 
-    seconds = steps (1 / engine + operations a step / arithmetic)
+    seconds = steps (1 / engine rate + operations per step / arithmetic rate)
 
-Operations are those of the matrix products: 2 a weight forwards, 6 forwards and backwards.
+Operations are those of the matrix products: 2 per weight in a forward pass, 6 forwards and backwards.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from fishmj.train.settings import Settings
 from fishmj.water.choice import LBM, residuals_of
 
 CPU, GPU = "cpu", "gpu"
-ENGINE = {  # control steps a second of one core, and of one H200 (`fishmj bench engine_...`; README)
+ENGINE = {  # control steps per second of one core, and of one H200 (`fishmj bench engine_...`; README)
     CPU: {"compiled": 395e3, "planar": 5e3, "batch": 4e3, "mjx": 650.0},
     GPU: {"compiled": 395e3, "planar": 46e6, "batch": 4e3, "mjx": 1e6},
 }
@@ -26,17 +26,17 @@ LEARNT = {  # the same in a water with a learnt force; on a GPU with the batch o
     CPU: {"compiled": 60e3, "planar": 1e3, "batch": 2.4e3, "mjx": 300.0},
     GPU: {"compiled": 60e3, "planar": 2.4e6, "batch": 2.4e3, "mjx": 0.8e6},
 }
-ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations a second of one core, and of one H200, in the runs of studies/training/NOTES.md
+ARITHMETIC = {CPU: 27e9, GPU: 10e12}  # operations per second of one core and of one H200, from studies/training/NOTES.md
 
 
 def agree(runs: Sequence[Settings], *, together: bool, yes: bool, devices: int = 1) -> None:
-    """Asks before runs of more than a week or more memory than there is; without a terminal it raises TooMuch.
+    """Asks the user before runs of more than a week or more memory than there is; without a terminal it raises TooMuch.
 
     Raises TooMuch: the user did not agree; UnknownName, ConfigError: an invalid setting.
     """
     estimated = [(s, c) for s in runs if hasattr(c := config_of(s), "operations") and hasattr(c, "bytes")]
     if not estimated:
-        return  # of the user's own: nobody knows what it does
+        return  # the cost of the user's own algorithm is unknown
     needs = [config.bytes(widths(s), s.steps) * (len(runs) if together else 1) / devices for s, config in estimated]
     settings, config = estimated[needs.index(max(needs))]
     sizes = f"{config.envs:,} fish that see {settings.task.get('memory', 1)} observations"
@@ -53,7 +53,7 @@ def agree(runs: Sequence[Settings], *, together: bool, yes: bool, devices: int =
 
 
 def seconds(settings: Settings) -> float:
-    """Time of one run on this machine, s, without assessments."""
+    """Estimated time of one run on this machine, s, without assessments."""
     kind = _kind()
     cores = usable_cores() if kind == CPU else 1
     work = config_of(settings).operations(widths(settings))
@@ -82,7 +82,7 @@ def _kind() -> str:
 
 
 def _memory() -> float | None:
-    """Memory of the accelerator, bytes; None on a CPU, which has the machine's."""
+    """Memory of the accelerator, bytes; None on a CPU."""
     import jax
 
     stats = {} if _kind() == CPU else jax.devices()[0].memory_stats() or {}

@@ -1,7 +1,7 @@
-"""One training run: the loop, its checkpoints, and the handling of all failures.
+"""Resumable training loop of one run, with its checkpoints and the handling of failures.
 
 A run is a folder: settings.json, metrics.jsonl (one line an iteration), checkpoints/, best.safetensors and last.safetensors.
-After a kill at any point it resumes from the newest complete checkpoint, on the CPU to the same bits. A full disk pauses it.
+After a kill it resumes from the newest complete checkpoint, bit-identically on the CPU. A full disk pauses it.
 """
 
 import errno
@@ -38,17 +38,17 @@ from fishmj.train.settings import ALGORITHMS, FILE, MADE_BY, Settings, as_dict, 
 from fishmj.water.choice import LBM
 from fishmj.water.water_identity import water_identity
 
-PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # kept in a checkpoint beside the arrays
-SLOW = 0.5  # s an iteration from which on a copy of the state is held: an interrupt does not wait for its end
-MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single one never stops it
-MAX_FAILED = 0.02  # the same in the flow solver, whose water can fail round a fish that thrashes
-PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # whose versions every run states
+PROGRESS = ("done", "assessed", "seconds", "best", "episodes", "dropped", "command")  # stored in a checkpoint with the arrays
+SLOW = 0.5  # s; longer iterations keep a copy of their initial state, so that an interrupt need not wait for their end
+MAX_DIVERGED = 1e-3  # share of the run's episodes that may be dropped; a single dropped episode never stops a run
+MAX_FAILED = 0.02  # the same in the flow solver, which can become unstable around a fish that moves violently
+PACKAGES = ("jax", "optax", "numpy", "mujoco", "numba")  # their versions are recorded in every run
 FULL = (errno.ENOSPC, errno.EDQUOT)
 PAUSE = 5.0  # s between two tries on a full disk
 
 
 def arrays_of(tree) -> dict[str, np.ndarray]:
-    """Leaves of a pytree under their paths; random keys as their bits."""
+    """Leaves of a pytree as {path: array}; random keys as raw bits."""
     out = {}
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key):
@@ -58,17 +58,17 @@ def arrays_of(tree) -> dict[str, np.ndarray]:
 
 
 def tree_of(arrays: dict[str, np.ndarray], like):
-    """Inverse of `arrays_of`. Raises ConfigError if the checkpoint belongs to another set-up."""
+    """Inverse of `arrays_of`. Raises ConfigError if shapes or types differ from `like`: the run has another set-up."""
     paths, shape = jax.tree_util.tree_flatten_with_path(like)
     leaves = []
     for path, leaf in paths:
         name = jax.tree_util.keystr(path)
-        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # no array of numbers: its bits are stored
+        key = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # stored as raw bits
         expected = jax.random.key_data(leaf).shape if key else leaf.shape
         if name not in arrays or arrays[name].shape != expected:
             got = arrays[name].shape if name in arrays else "nothing"
-            changed = "settings are the same, so fishmj, the robot or the water has changed since it was made"
-            remedy = "go on with those, or begin anew from its policy: fishmj train --begin RUN --out NEW"
+            changed = "the settings are the same, so fishmj, the robot or the water has changed since the checkpoint"
+            remedy = "resume with the old ones, or start a new run from its policy: fishmj train --begin RUN --out NEW"
             raise ConfigError(f"checkpoint: {name} is {got}, this run needs {expected}; {changed}; {remedy}")
         value = jax.numpy.asarray(arrays[name])
         leaves.append(jax.random.wrap_key_data(value) if key else value.astype(leaf.dtype))
@@ -76,7 +76,7 @@ def tree_of(arrays: dict[str, np.ndarray], like):
 
 
 class Assessment:
-    """Whole episodes of 30 s without exploration, on flows not used in training. One jitted function."""
+    """Evaluation in complete episodes without exploration, on flows not used in training. One jitted function."""
 
     def __init__(self, env: StationHold, act, episodes: int = 256):
         self.env, self.act, self.episodes = env, act, episodes
@@ -87,7 +87,7 @@ class Assessment:
     def __call__(self, actor, key):
         """Figures as scalars: return, arrival, rmse_last10, within (share of episodes with rmse_last10 < 0.1 m)."""
         state = self.env.reset(key, self.episodes, False)
-        state = state._replace(count=jnp.zeros_like(state.count))  # short episodes are whole ones, too
+        state = state._replace(count=jnp.zeros_like(state.count))  # every episode has full length
 
         def one(carry, _):
             state, alive = carry
@@ -112,9 +112,9 @@ class Assessment:
 
 @contextmanager
 def stop_on_signal(words: interrupt.Words = str):
-    """Yields the list of `interrupt.stop_requests`, so that no update is left half done.
+    """Yields the list of `interrupt.stop_requests`, so that an interrupt waits for the end of an update.
 
-    words: text of `interrupt.finishing`, for an update that takes longer than an interrupt may.
+    words: function that returns the text for `interrupt.finishing`, if the update takes too long.
     """
     with interrupt.stop_requests() as asked, interrupt.finishing(words):
         yield asked
@@ -124,7 +124,7 @@ def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
     """Calls `write()`; on a full disk prints the space needed, waits and tries again.
 
     Returns:
-        True when it is written; False when a stop was requested while there was no room. Any other failure is raised.
+        True when written; False if a stop was requested while the disk was full. Other failures are raised.
     """
     waiting = False
     while True:
@@ -137,11 +137,11 @@ def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
                 console.warn(f"not saved: {error}")
                 return False
             if not waiting:
-                console.warn(f"paused: {error}; looking again every {PAUSE:g} s, Ctrl-C stops without this save")
+                console.warn(f"paused: {error}; trying again every {PAUSE:g} s; Ctrl-C stops without saving this")
             waiting = True
         else:
             if waiting:
-                console.warn("there is room again: saved, going on")
+                console.warn("the disk has room again: saved, training continues")
             return True
         until = time.monotonic() + PAUSE
         while time.monotonic() < until and not asked:
@@ -149,11 +149,11 @@ def when_there_is_room(write: Callable[[], object], asked: list) -> bool:
 
 
 class MetricsLog:
-    """metrics.jsonl: one complete line of figures an iteration; TensorBoard events if tensorboardX is installed.
+    """Writes metrics.jsonl, one complete line per iteration; also TensorBoard events if tensorboardX is installed.
 
-    A run that resumes from step `after` drops the lines beyond it, and writes them again.
+    A run that resumes from step `after` removes the later lines, and writes them again.
 
-    assessed: step of the last assessment before the resumed step; lines of later ones are also dropped.
+    assessed: step of the last assessment before the resumed step; lines of later assessments are also removed.
     """
 
     def __init__(self, folder: Path, after: int = 0, assessed: int = 0):
@@ -169,7 +169,7 @@ class MetricsLog:
             self.events = SummaryWriter(str(folder / "events"))
 
     def write(self, step: int, figures: dict) -> None:
-        """Appends one line. Raises OSError, with the file unchanged, if there is no room for all of it."""
+        """Appends one line. Raises OSError, and leaves the file unchanged, if the disk is full."""
         line = (json.dumps({"step": step, **figures}) + "\n").encode()
         with open(self.path, "ab", buffering=0) as lines:
             size = os.fstat(lines.fileno()).st_size
@@ -185,7 +185,7 @@ class MetricsLog:
 
 
 def _until(step: int, assessed: int, text: str) -> list[str]:
-    """Lines up to `step`, those of assessments up to `assessed`; an incomplete last line is dropped."""
+    """Lines up to `step`, and of assessments up to `assessed`; drops an incomplete last line."""
     whole = [line + "\n" for line in text.split("\n")[:-1]]
     rows = [json.loads(line) for line in whole]
     last = [assessed if any(key.startswith("tune_") for key in row) else step for row in rows]
@@ -195,12 +195,11 @@ def _until(step: int, assessed: int, text: str) -> list[str]:
 class TrainingRun:
     """Trains one policy. `TrainingRun(settings, folder).go()` returns the summary dict.
 
-    learner: as from `learner_of`, which may be on several devices; a run of one number of devices resumes on another, not to the
-        same bits.
-    command: as it was typed, for the header of the policy. A run resumed with other steps has its first one and, after "&&", that
-        of the resume. None: called from Python.
-    begin: policy whose network is the start of a fresh run, with `settings` from `begin.begin_with`.
-    stop_when: predicate on the figures of an `Assessment`; the run ends at the first best assessment that satisfies it.
+    learner: from `learner_of`, also on several devices; a run may resume on another number of devices, not bit-identically.
+    command: command line for the header of the policy. A run resumed with other steps has its first one and, after "&&", that of
+        the resume. None: called from Python.
+    begin: policy that a fresh run starts from, with `settings` from `begin.begin_with`.
+    stop_when: predicate on the figures of an `Assessment`; the run ends at the first new best that satisfies it.
     """
 
     def __init__(
@@ -241,19 +240,19 @@ class TrainingRun:
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
         elif begin is not None:
             self.training = begun(self.training, begin, settings, self.env)
-            self.assessed = -1  # the policy that it begins with is judged as well, and may stay the best
+            self.assessed = -1  # the starting policy is assessed too, and may remain the best
         if self.devices > 1:
             self.training = self.algorithm.place(self.training)
         self.bar.begun = self.done
         write_settings(self.settings, self.folder)
 
     def go(self) -> dict:
-        """Trains to the end, until `stop_when` holds, or to Ctrl-C; the summary states if Ctrl-C ended it."""
+        """Trains to the last step, until `stop_when` holds, or until Ctrl-C, which the summary reports."""
         s = self.settings
         start, saved = time.monotonic() - self.seconds, time.monotonic()
-        self.bar.restart()  # what it says at the end is the summary's time
+        self.bar.restart()  # its final time equals the summary's
         if self.done >= s.steps:
-            console.warn(f"{self.folder} has {self.done:,} control steps of {s.steps:,}: nothing is trained; raise --steps")
+            console.warn(f"{self.folder} has {self.done:,} control steps of {s.steps:,} already: nothing to train; raise --steps")
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
@@ -283,15 +282,12 @@ class TrainingRun:
         return self.best is not None and self.stop_when(self.best)
 
     def _assessment_is_due(self) -> bool:
-        """Returns True if an assessment is due.
-
-        That is the first iteration past a multiple of `assess_every`, and the end; also if an interrupt came before it.
-        """
+        """Returns True after the first iteration past a multiple of `assess_every`, and at the end of the run."""
         every = self.settings.assess_every
         return self.done > self.assessed and (self.done // every > self.assessed // every or self.done >= self.settings.steps)
 
     def _judge(self, board: MetricsLog, write: Callable) -> None:
-        """Assesses, records, and keeps the best policy; only then the assessment counts as done."""
+        """Assesses, records, and exports a new best policy; the assessment counts as done only after all of this."""
         began = time.monotonic()
         with self.bar.aside("" if self.quiet or self._looked else "compiling the assessment"):
             figures, better = self._look()
@@ -303,19 +299,19 @@ class TrainingRun:
         self.assessed = self.done
 
     def _iterate(self) -> dict[str, float]:
-        """Does one iteration; it consumes the state, so a slow one keeps a copy of its start."""
+        """Does one iteration. It consumes the state, so a copy is kept first if iterations are slow."""
         began = time.monotonic()
         if self._pace > SLOW:
             self._held = self._state()
         self._under_way = True
         self.training, figures = self.algorithm.iterate(self.training)
-        figures = reported(figures)  # waits for its end
+        figures = reported(figures)  # waits for the device
         self._raise_failure(self.env)
         self._pace, self._held = time.monotonic() - began, None
         return figures
 
     def _last_words(self) -> str:
-        """Saves the start of a long iteration on an interrupt; called in another thread."""
+        """Saves a checkpoint from before the running iteration, on an interrupt; called in another thread."""
         with self._saving:
             held = self._held or (None if self._under_way else self._state())
             newest = next((int(path.stem[5:]) for path in self.checkpoints.paths()), 0)
@@ -323,13 +319,13 @@ class TrainingRun:
                 newest = held[1]["done"]
                 self.checkpoints.save(newest, *held)
         if not newest:
-            return f"nothing was learnt yet; {interrupt.again('start again')}"
+            return f"nothing is saved yet; {interrupt.again('start again')}"
         return go_on(self.folder, newest, self.settings, self.devices)
 
     def _look(self) -> tuple[dict, bool]:
-        """Judges the present actor on the tuning flows: figures for the log, and True if it is the best so far."""
+        """Assesses the present actor on the tuning flows; returns figures for the log, and True if it is the best so far."""
         self._looked = True
-        actor = jax.device_get(self.training.actor)  # on several devices the assessment still takes one
+        actor = jax.device_get(self.training.actor)  # the assessment runs on one device
         figures = self.assess(actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}
         self._raise_failure(getattr(self.assess, "env", None))
@@ -343,7 +339,7 @@ class TrainingRun:
         export(self.algorithm.policy_layers(self.training.actor), self.settings, meta, self.folder / f"{name}.safetensors")
 
     def _check(self, figures: dict) -> None:
-        """Stops on learning that is not finite or on too many dropped episodes; saved files stay."""
+        """Raises an error if a figure is not finite or too many episodes diverged; saved files stay."""
         self._finite(figures)
         self.episodes += int(figures["episodes"])
         self.dropped += int(figures["diverged"])
@@ -351,12 +347,12 @@ class TrainingRun:
         if self.dropped > max(1, most * self.episodes):
             raise SimDiverged(
                 f"training: {self.dropped} of {self.episodes} episodes at step {self.done:,} diverged and were dropped, "
-                f"above {most:.1%}; the physics step is too long or a parameter out of range: fishmj doctor",
+                f"more than {most:.1%}; the physics step is too long or a parameter out of range: see fishmj doctor",
                 term="physics",
             )
 
     def _raise_failure(self, env) -> None:
-        """Raises the error of an engine that could not raise it inside a compiled loop."""
+        """Raises an error that the engine has stored because it could not raise it inside a compiled loop."""
         if error := getattr(getattr(env, "engine", None), "failed", None):
             raise error
 
@@ -372,7 +368,7 @@ class TrainingRun:
     def _state(self) -> tuple[dict, dict]:
         """Arrays and metadata of a checkpoint."""
         arrays = arrays_of(self.training)
-        self._finite(arrays)  # a last update can spoil the weights after the figures were taken
+        self._finite(arrays)  # the last update can spoil the weights after the figures were computed
         return arrays, {"settings": as_dict(self.settings), **{k: getattr(self, k) for k in (*PROGRESS, "trained_on")}}
 
     def _save(self) -> None:
@@ -381,18 +377,18 @@ class TrainingRun:
 
     def _restore(self) -> None:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # said below, in one line
+            warnings.simplefilter("ignore")  # reported below, in one line
             found = self.checkpoints.latest()
         if found is None:
             raise ConfigError(f"{self.folder}: nothing to resume; start without --resume")
-        # the checkpoint's own settings, not those of settings.json, which a resumed run may have rewritten already
+        # use the checkpoint's settings: a resumed run may already have rewritten settings.json
         same(self.folder, self.settings, as_dict(settled(from_dict(found.meta["settings"]))))
         there = found.meta.get("trained_on", self.trained_on)
         if changed := [name for name, digest in self.trained_on.items() if there.get(name) != digest]:
-            what = f"the {' and the '.join(changed)} of {self.settings.robot} changed meanwhile"
-            begin = f"begin another run with its policy: --begin {shlex.quote(str(self.folder))}"
-            raise ConfigError(f"{self.folder}: {what}; put it back as it was, or {begin}")
-        # the fresh state defines the leaves, shapes and dtypes; the key among them makes all later draws the same
+            what = f"the {' and the '.join(changed)} of {self.settings.robot} changed since the checkpoint"
+            begin = f"start another run from its policy: --begin {shlex.quote(str(self.folder))}"
+            raise ConfigError(f"{self.folder}: {what}; restore it, or {begin}")
+        # the fresh state defines leaves, shapes and dtypes; its restored key makes all later draws the same
         self.training = tree_of(found.arrays, self.training)
         # counts of the run, not of the learner: without them a resumed run would assess and stop at other steps
         again = self.command
@@ -401,23 +397,23 @@ class TrainingRun:
         if self.command and again and self.settings.steps != found.meta["settings"]["steps"]:
             self.command = one_line(f"{self.command} && {again}")
         if (steps := self.settings.steps) <= self.done and steps != found.meta["settings"]["steps"]:
-            got = f"got --steps {steps:,} and {self.done:,} are trained already; expected a larger total"
+            got = f"got --steps {steps:,}, but {self.done:,} are trained already; expected a larger total"
             raise ConfigError(f"{self.folder}: {got}; for {steps:,} more give --steps {self.done + steps}")
-        self.assessed = found.meta.get("assessed", self.done)  # a checkpoint without it is from a version that did not say
+        self.assessed = found.meta.get("assessed", self.done)  # older versions did not store it
         if self.settings.engine == LBM:
             fresh = self.algorithm.init(jax.random.fold_in(jax.random.key(self.settings.seed), self.done))
             self.training = self.training._replace(env_state=fresh.env_state, tally=fresh.tally)
-            console.warn("the water was not kept: every fish begins a new episode")
+            console.warn("checkpoints do not hold the solver's water: every fish begins a new episode")
         if found.note:
             console.warn(found.note)
-            # newer than the one that was read, and damaged: kept for inspection, but never tried again
+            # newer than the one that was read, but damaged: set aside for inspection
             for path in self.checkpoints.paths():
                 if path.name > found.path.name:
                     path.rename(path.with_suffix(".damaged"))
 
 
 def trained_on(settings: Settings) -> dict[str, str]:
-    """Digests of the robot and the water of a run; a run that goes on has the same."""
+    """Digests of the robot and the water of a run, which must not change when it resumes."""
     robot = robot_for(settings)
     body = f"{structure_sha256(structure_of(robot))} {constants_sha256(robot)}"
     return {"description": sha256(body.encode()).hexdigest(), "water": water_identity(robot).get("sha256", "")}
@@ -433,7 +429,7 @@ def export(network: PolicyLayers, settings: Settings, meta: dict, path: Path) ->
 
 
 def programs(settings: Settings) -> dict:
-    """Versions of the programs of a run, and the commit."""
+    """Versions of the packages of a run, and the commit."""
     own = ALGORITHMS[settings.algo].packages if settings.algo in ALGORITHMS else ()
     return made_by(*PACKAGES, *own, *(["warp-lang"] if settings.engine == LBM else []))
 
@@ -446,7 +442,7 @@ def write_settings(settings: Settings, folder: Path) -> None:
 def summary_of(
     settings: Settings, folder: Path, done: int, seconds: float, best: dict | None, stopped: bool, devices: int = 1
 ) -> dict:  # fmt: skip
-    """Summary of a run, or of one seed of several, at its end."""
+    """Summary at the end of a run, or of one of several seeds."""
     policies = [folder / f"{name}.safetensors" for name in ("best", "last")]
     return {
         "folder": str(folder),
@@ -464,8 +460,8 @@ def summary_of(
 
 
 def go_on(folder: Path, done: int, settings: Settings, devices: int = 1) -> str:
-    """Text of an interrupted run: its state and the command that resumes it."""
-    own = [word for pair in own_code(settings).items() for word in pair]  # which only a command line may name
+    """Text for an interrupted run: its state and the command that resumes it."""
+    own = [word for pair in own_code(settings).items() for word in pair]  # only a command line may name these
     own += ["--devices", str(devices)] if devices > 1 else []
     command = shlex.join(["fishmj", "train", "--resume", "--out", str(folder), *own])
     return f"{folder} holds the run up to step {done:,}; go on with: {command}"
@@ -474,13 +470,14 @@ def go_on(folder: Path, done: int, settings: Settings, devices: int = 1) -> str:
 def is_better(figures: dict, best: dict | None) -> bool:
     """Returns True if an assessment's mean return is at least that of the best so far.
 
-    Not the share of fish that stay in the tank: of 1,024 it has a standard error of 0.4 %, more than half a training changes.
+    The share of fish that stay in the tank is too noisy: with 1,024 fish its standard error is 0.4 %, more than half a training
+    changes.
     """
     return best is None or figures["return"] >= best["return"]
 
 
 def learner_of(settings: Settings, devices: int = 1):
-    """Environment, algorithm (on so many devices) and assessment, to be shared by runs that differ in their seed only."""
+    """Environment, algorithm (on this number of devices) and assessment, shared by runs that differ only in their seed."""
     env = environment(settings)
     learner = algorithm(settings, env, devices)
     warn_of_rounding(learner, settings.steps)
