@@ -184,12 +184,12 @@ def test_a_file_of_gains_steers_and_names_its_mistakes(tmp_path):
     assert mine.name == "pi" and mine.sha256 != other.sha256
     both = control.several([f"{file}:pi", "pi", f"{file}:pd"], ROBOT)
     assert [getattr(one, "notes", ()) for one in both] == [(f"pi is {file}:pi",), ("pi-2 is pi",), ()]
-    with pytest.raises(ConfigError, match=r"has no section \[dob\]"):
+    with pytest.raises(ConfigError, match=r"no section \[dob\]"):
         control.make(f"{file}:dob", ROBOT)
     with pytest.raises(UnknownName, match="pii"):
         control.make(f"{file}:pii", ROBOT)
     file.write_text('[pi]\nfrequency = { value = 1.0, unit = "1/s", source = "tuned: x" }\n')
-    with pytest.raises(ConfigError, match=r"gain frequency of pi: got 1.0, expected the form of \["):
+    with pytest.raises(ConfigError, match=r"gain frequency of pi: got 1.0, expected a value such as \["):
         control.make(f"{file}:pi", ROBOT)
 
 

@@ -105,7 +105,7 @@ def test_the_second_fish_gets_only_controllers_that_know_it():
     steering = lambda made: {s.drive["controller"] for s in made.segments if s.block == "policy"}
     assert steering(FULL) == set(plan.POLICIES)
     assert steering(plan.full(SECOND)) == {"dob", "pi", "adrc-c1", "pd"}
-    with pytest.raises(ConfigError, match="takes 11 observations"):
+    with pytest.raises(ConfigError, match="has 11 observations"):
         plan.full(SECOND, policies=("paper",))
     with pytest.raises(UnknownName, match="dod"):
         plan.full(FISH, policies=("dod",))

@@ -101,7 +101,7 @@ def test_beat_above_half_the_control_rate_is_noted_on_hold(capsys):
         cpg.reset(1)
         cpg(np.array([beat]), np.array([0.3]), np.zeros(1))
         said = capsys.readouterr().err
-        assert said.count("a beat of 4 Hz on command_path 'hold' becomes one of 1 Hz") == notes == said.count("\n")
+        assert said.count("a beat of 4 Hz on command_path 'hold' aliases to 1 Hz") == notes == said.count("\n")
 
 
 def test_under_hold_a_chunk_is_one_sample():
@@ -214,7 +214,7 @@ def test_a_policy_file_is_a_controller_on_the_robots_command_path(tmp_path):
 
 
 def test_a_policy_for_another_robot_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="takes 7 observations"):
+    with pytest.raises(ConfigError, match="has 7 observations"):
         control.make(a_policy(tmp_path / "short.safetensors", n_obs=7), ROBOT)
 
 
@@ -249,7 +249,7 @@ def test_the_measured_gaits_are_of_the_robots_own_water():
 
 
 def test_a_fish_that_does_not_swim_has_no_gaits():
-    with pytest.raises(ConfigError, match="no hand-made controller can steer it"):
+    with pytest.raises(ConfigError, match="no classical controller can steer it"):
         control.make("pi", in_water(ROBOT, "none"))
 
 
@@ -279,7 +279,7 @@ def test_the_privileged_controller_is_told_the_flow_in_body_axes():
 def test_the_privileged_controller_steers_only_where_the_flow_is_known():
     brain = control.make("privileged", ROBOT)
     brain.reset(1)
-    with pytest.raises(ConfigError, match="was not told the flow"):
+    with pytest.raises(ConfigError, match="needs `set_flow` before every step"):
         brain(np.zeros((1, 11)))
 
 
@@ -333,9 +333,9 @@ def test_a_bare_function_of_observations_is_told_to_be_a_class(tmp_path, name):
     """The class of the hint, pasted into the file, is a controller."""
     text = "import numpy as np\ndef f(obs): return np.zeros((len(obs), 10, 3))\ng = lambda obs: f(obs)\nh = 3\n"
     (tmp_path / "bare.py").write_text(text)
-    with pytest.raises(OwnCodeError, match=f"{name} is called with the robot, once, and gives the controller") as told:
+    with pytest.raises(OwnCodeError, match=f"{name} must take the robot and return the controller") as told:
         control.chosen(f"{tmp_path / 'bare.py'}:{name}", ROBOT)
-    line = str(told.value).partition("name a class of it: ")[2]
+    line = str(told.value).partition("wrap it in a class and name that: ")[2]
     assert f"{name}(obs)" in line
     (tmp_path / "mended.py").write_text(f"{text}{line}\n")
     brain = control.chosen(f"{tmp_path / 'mended.py'}:Mine", ROBOT)

@@ -153,7 +153,7 @@ def test_every_effect_of_the_catalogue_acts_in_a_tank_or_is_the_waters():
     why = {name: in_tank(effect) for name, effect in effects.catalogue().items()}
     assert {name for name in why if not why[name]} == set(ACTING)
     assert all("coefficients of strips" in why[n] or "forces of strips" in why[n] for n in STRIPS)
-    assert all("the solver is the water" in why[n] for n in STRIPS | FORCES)
+    assert all("the solver replaces" in why[n] for n in STRIPS | FORCES)
     assert all("uniform and steady" in why[n] for n in UNEVEN) and all("drawn" in why[n] for n in DRAWN)
 
 
@@ -309,7 +309,7 @@ def test_in_water_a_steady_current_is_a_stream_of_that_speed(tiny):
 def test_what_is_the_waters_is_refused_by_name_and_can_be_left_out():
     robot = robot_with("wake_memory", "coulomb_friction", "swirl")
     assert list(refused(robot)) == ["wake_memory", "swirl"]
-    with pytest.raises(ConfigError, match=r"wake_memory: .*the solver is the water; swirl: .*--leave-out wake_memory,swirl"):
+    with pytest.raises(ConfigError, match=r"wake_memory: .*the solver replaces; swirl: .*--leave-out wake_memory,swirl"):
         lbm.LbmEngine(robot, [Flow()])
     assert [fitted.name for fitted in without(robot, ["swirl", "wake_memory"]).effects] == ["coulomb_friction"]
     with pytest.raises(UnknownName, match="wake_memory"):

@@ -160,7 +160,7 @@ def test_rank_correlation_is_spearmans():
 def test_a_policy_of_another_fish_is_refused_with_the_robot_that_it_swims(tmp_path, capsys):
     policy = stored(tmp_path, header(robot="mine", structure=structure_of(ROBOT) | {"lengths": [0.2, 0.1, 0.1, 0.1]}))
     assert console.run(command.main, ["approach", "--policy", str(policy), "--out", str(tmp_path / "out")]) == console.BAD_INPUT
-    assert "it was trained for 'mine': name that one, --robot FILE" in capsys.readouterr().err
+    assert "it was trained for 'mine': name that robot, --robot FILE" in capsys.readouterr().err
 
 
 def test_the_experiments_swim_the_robot_that_is_named(tmp_path, capsys):
@@ -168,7 +168,7 @@ def test_the_experiments_swim_the_robot_that_is_named(tmp_path, capsys):
     assert setup.robot.name == "tendon_fish" and setup.brain.name == "pi"
     assert experiment_training.settings_of(setup).robot == "tendon_fish"
     assert console.run(command.main, ["approach", "--robot", "tendon_fish", "--out", str(tmp_path / "out")]) == console.BAD_INPUT
-    assert "it was trained for 'swift': name that one, --robot fish" in capsys.readouterr().err
+    assert "it was trained for 'swift': name that robot, --robot fish" in capsys.readouterr().err
 
 
 def test_saliency_needs_a_policy(tmp_path):

@@ -183,7 +183,7 @@ def test_mujoco_does_not_wait(replay, plain, capsys):
     go.append(1)
     hybrid.close()
     assert len(hybrid.rows[0]) == 1 and hybrid.rows[0][0]["applied"] == pytest.approx(2.98)
-    assert capsys.readouterr().err.count("still at work") == 1 and hybrid.states[0].stream[0] > 0.02
+    assert capsys.readouterr().err.count("still works") == 1 and hybrid.states[0].stream[0] > 0.02
 
 
 def test_an_answer_that_comes_too_late_is_dropped(replay, capsys):

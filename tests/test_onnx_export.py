@@ -76,7 +76,7 @@ def test_onnx_check_sees_a_window_in_the_wrong_order():
 
 def test_graph_that_differs_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr(onnx_export, "largest_difference", lambda policy, answer: 2e-6)
-    with pytest.raises(ConfigError, match="off by 2e-06"):
+    with pytest.raises(ConfigError, match="differs from NumPy by 2e-06"):
         write_onnx("station", tmp_path / "p.onnx")
     assert not (tmp_path / "p.onnx").exists()
 

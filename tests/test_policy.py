@@ -86,7 +86,7 @@ def test_a_saved_policy_comes_back_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda a, m: a.update(w1=a["w1"].T.copy()), r"layer 1 has weights \(8, 6\) and bias \(6,\): these are \(in, out\), exp"),
+        (lambda a, m: a.update(w1=a["w1"].T.copy()), r"layer 1 has weights \(8, 6\) and bias \(6,\): got \(in, out\), exp"),
         (lambda a, m: a.update(b0=a["b0"][:-1]), r"layer 0 has weights \(8, 11\) and bias \(7,\)"),
         (lambda a, m: a.update(w0=a["w0"][:, :-1]), "expected 11 inputs"),
         (lambda a, m: a.pop("b1"), "expected w0, b0, w1, b1"),

@@ -122,7 +122,7 @@ def test_a_tenth_of_a_length_is_taken(tmp_path, scale):
         ),
         (replace(ROBOT, timing=replace(ROBOT.timing, control_dt=0.1)), "decides every 0.2 s, the robot every 0.1 s"),
         (heavy_head(4.0), "made for a reference point 0.182 m behind the nose, the robot's is 0.141 m"),
-        (load_robot("tendon_fish"), "takes 11 observations and gives 3 actions; robot tendon_fish has 9 and 2"),
+        (load_robot("tendon_fish"), "has 11 observations and 3 actions; robot tendon_fish needs 9 and 2"),
     ],
 )
 @pytest.mark.parametrize("anyway", [False, True])
@@ -160,15 +160,15 @@ def test_an_older_header_is_read_by_rule_and_what_it_does_not_say_is_said(tmp_pa
     old = {k: v for k, v in header(robot="another").items() if k not in new} | {"observation": "target_x .., SI"}
     lacks = "links, reference point, constants, water, observations, training command"
     _, said = control.make(stored(tmp_path, old), ROBOT).notes
-    assert said == f"policy mine: its header does not say {lacks}; that is not compared"
+    assert said == f"policy mine: its header lacks {lacks}, not compared"
     with pytest.raises(ConfigError, match="made for servos of"):
         control.make(stored(tmp_path, old), replace(ROBOT, servo=replace(ROBOT.servo, range=0.8)))
     bare = {key: old[key] for key in ("schema", "scale", "activation")}
     (note,) = control.make(stored(tmp_path, bare), ROBOT).notes
-    assert "does not say robot, links, reference point, constants, water, command path, observations, seed, training" in note
+    assert "lacks robot, links, reference point, constants, water, command path, observations, seed, training" in note
     four = header(structure={k: v for k, v in structure_of(ROBOT).items() if k != "reference_point"}, robot="another")
     _, note = control.make(stored(tmp_path, four), ROBOT).notes
-    assert "does not say reference point;" in note, "as the version before this one wrote it"
+    assert "lacks reference point," in note, "as the version before this one wrote it"
 
 
 # command path
@@ -263,7 +263,7 @@ BAD = [
     ({"observation": [3] * 11}, "observation [3"),
     ({"observation": "x" * 100_000}, "observation 'xxx"),
     ({"algorithm": "<img>"}, "algorithm '<img>'"),
-    ({"structure_sha256": "0" * 64}, "structure and structure_sha256 do not belong together"),
+    ({"structure_sha256": "0" * 64}, "structure_sha256 is not the hash of structure"),
     ({"structure_sha256": "<b>"}, "structure_sha256 '<b>'; expected 64 hex digits"),
     ({"constants_sha256": ["0" * 64]}, "constants_sha256 ['000"),
     ({"structure": structure_of(ROBOT) | {"reference_point": -1}}, "a reference point in m"),
@@ -316,7 +316,7 @@ def test_a_header_that_is_no_table_is_refused(tmp_path, meta):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda a: a.update(w0=a["w0"].astype(np.int32)), "weights are no floating-point numbers"),
+        (lambda a: a.update(w0=a["w0"].astype(np.int32)), "weights are not floating-point numbers"),
         (lambda a: a.update(w0=np.zeros((0, 11), np.float32), b0=np.zeros(0, np.float32)), "layer 0 has weights (0, 11)"),
         (lambda a: a.update(w1=np.zeros((8, 8, 8), np.float32)), "layer 1 has weights (8, 8, 8)"),
         (lambda a: a.update(b1=np.float32(1.0)), "layer 1 has weights (3, 8) and bias ()"),
@@ -368,7 +368,7 @@ def test_weights_too_large_to_multiply_are_one_line(tmp_path):
     some["w1"][:, ::2] *= -1
     brain = LearnedController(ROBOT, stored(tmp_path, header(), some))
     brain.reset(1)
-    with np.errstate(all="ignore"), pytest.raises(ConfigError, match="its answer is not finite"):
+    with np.errstate(all="ignore"), pytest.raises(ConfigError, match="its action is not finite"):
         brain(np.ones((1, 11)))
 
 

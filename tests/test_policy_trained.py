@@ -34,7 +34,7 @@ LACKING = {"pilot": "water, training command", "station-sac": "training command"
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_policies_say_their_water_and_what_they_lack(name):
     water = {"paper": "structured", "paper-sac": "structured", "station-family": "swift-family"}.get(name, "swift")
-    lacks = (f"policy {name}: its header does not say {LACKING[name]}; that is not compared",) if name in LACKING else ()
+    lacks = (f"policy {name}: its header lacks {LACKING[name]}, not compared",) if name in LACKING else ()
     assert control.make(name, in_water(ROBOT, water)).notes == lacks
     by_path = os.path.relpath(FOLDER / f"{name}.safetensors")
     assert control.make(by_path, in_water(ROBOT, water)).notes == lacks, "the same file, named by its path"

@@ -54,7 +54,7 @@ def act_afresh(policy: Policy, obs) -> np.ndarray:
 def test_steps_that_whole_iterations_exceed_by_far_are_told(capsys):
     for steps, said in ((10, True), (16_384, False), (16_385, True), (163_841, False), (2_000_000, False)):
         warn_of_rounding(SimpleNamespace(steps_per_iteration=16_384), steps)
-        assert ("an iteration takes 16,384" in capsys.readouterr().err) == said, steps
+        assert ("an iteration has 16,384" in capsys.readouterr().err) == said, steps
     learner_of(calm_run(steps=10))
     assert re.search(r"train: ([0-9,]+) control steps instead of 10: an iteration has \1;", capsys.readouterr().err)
 
@@ -151,7 +151,7 @@ def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, t
     assert Policy.load(tmp_path).meta["command"] == "fishmj train --preset quick"
     with pytest.raises(ConfigError, match="already holds a run; add --resume"):
         TrainingRun(settings, tmp_path, learner=learner)
-    with pytest.raises(ConfigError, match="seed = 5, the run has 0; a run goes on with its own settings"):
+    with pytest.raises(ConfigError, match="seed = 5, the run has 0; a run resumes with its own settings"):
         TrainingRun(change(settings, seed=5), tmp_path, learner=learner, resume=True)
     with pytest.raises(ConfigError, match="nothing to resume"):
         TrainingRun(settings, tmp_path / "empty", learner=learner, resume=True)
@@ -159,7 +159,7 @@ def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, t
     with monkeypatch.context() as other:
         other.setattr(training_run, "constants_sha256", lambda robot: "of a heavier fish")
         with pytest.raises(
-            ConfigError, match="the description of fish changed meanwhile; put it back as it was, or begin another"
+            ConfigError, match="the description of fish changed since the checkpoint; restore it, or start another"
         ):
             TrainingRun(settings, tmp_path, **more)
     with pytest.raises(ConfigError, match="--steps 8,000 and 8,192 are trained already; .* for 8,000 more give --steps 16192"):

@@ -37,7 +37,7 @@ def test_what_the_policy_decides_cannot_be_asked_for_otherwise(asked, word):
 def test_other_algorithms_and_other_structures_are_refused():
     with pytest.raises(ConfigError, match="sac cannot start from a policy"):
         begin_with("station", change(preset("quick"), algo="sac"), {})
-    with pytest.raises(ConfigError, match="robot tendon_fish has 9 and 2"):
+    with pytest.raises(ConfigError, match="robot tendon_fish needs 9 and 2"):
         begin_with("station", change(preset("quick"), robot="tendon_fish"), {})
 
 
@@ -55,7 +55,7 @@ def test_resumed_run_that_is_complete_says_that_nothing_is_trained(tmp_path, cap
 @pytest.mark.parametrize("other", ["--resume", "--together"])
 def test_a_run_begins_once_and_alone(other, capsys):
     assert console.run(main, ["--begin", "station", other]) == console.BAD_INPUT
-    assert f"--begin beside {other}" in capsys.readouterr().err
+    assert f"--begin with {other}" in capsys.readouterr().err
 
 
 def test_options_and_the_solver_s_preset_keep_their_learning_rate():

@@ -24,7 +24,7 @@ SMALL = ["--preset", "quick", "--engine", "compiled", "--envs", "16", "--horizon
 TINY = [*SMALL, "--seeds", "3,4"]
 
 
-@pytest.mark.parametrize(("more", "said"), [(["--together"], "--together beside --ray"), (["--force", "--resume"], "--resume")])
+@pytest.mark.parametrize(("more", "said"), [(["--together"], "--together with --ray"), (["--force", "--resume"], "--resume")])
 def test_options_that_contradict_ray_are_refused(more, said, tmp_path, capsys):
     assert console.run(main, [*TINY, "--ray", "local:2", *more, "--out", str(tmp_path / "run")]) == console.BAD_INPUT
     assert said in capsys.readouterr().err
@@ -74,8 +74,8 @@ def test_sweep_that_means_nothing_is_refused(line, said):
     ("more", "said"),
     [
         (["--sweep", "gamma", "0.9", "0.90"], "gamma=0.9 and gamma=0.90 are the same"),
-        (["--sweep", "gamma", "0.9", "0.8", "--together"], "--together beside --sweep"),
-        (["--sweep", "gamma", "0.9", "0.8", "--correct"], "--correct beside"),
+        (["--sweep", "gamma", "0.9", "0.8", "--together"], "--together with --sweep"),
+        (["--sweep", "gamma", "0.9", "0.8", "--correct"], "--correct with"),
         (["--sweep", "gamma", "0.9", "0.8", "--resume"], "nothing to resume"),
         (["--sweep", "utd", "1", "2"], "utd"),
     ],
@@ -114,7 +114,7 @@ def test_sweep_names_the_best_point_on_the_tuning_flows(instant_runs, tmp_path, 
     words = [*SMALL, "--sweep", "gamma", "0.95", "0.9", "0.8", "--seeds", "0,1", "--out", str(tmp_path / "grid"), "--json"]
     assert console.run(main, words) == console.OK
     out = capsys.readouterr().out
-    assert "best on the tuning flows: gamma=0.9; judge it on other draws with: fishmj evaluate" in out and "run 6 of 6" in out
+    assert "best on the tuning flows: gamma=0.9; evaluate it on other draws with: fishmj evaluate" in out and "run 6 of 6" in out
     assert len(instant_runs.learners) == 3, "the seeds of a point share their learner"
     told = json.loads(out.strip().splitlines()[-1])
     assert told["sweep"]["best"]["rmse_last10"] == pytest.approx(0.005) and len(told["sweep"]["rows"]) == 6

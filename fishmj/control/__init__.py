@@ -4,14 +4,14 @@
     controller.reset(n)
     commands = controller(obs)                  obs (B, 11) every 0.2 s -> bus commands (B, 10, 3) rad
 
-A controller sees the 11 observations only, noisy and late: no flow, no pose. `privileged` alone is also told the flow, and
-steers only where `set_flow` is called (tasks.episode). Gains are in data/calib/controllers.toml; the hand-made ones measure the
-gaits of their fish in its surrogate (gait_table.py).
+A controller sees only the 11 observations, with noise and latency: no flow, no pose. `privileged` also gets the true flow, and
+works only where `set_flow` is called (tasks.episode). Gains are in data/calib/controllers.toml. The classical controllers
+measure the gaits of their fish in its surrogate (gait_table.py).
 
 A new one is a file with `build(robot, name, gains)`, and a line in `CONTROLLERS`.
 
-`chosen` also takes your own, as `module:Name` (docs/simulate/your_own_code.md): for text that a user typed, never for a name
-from a file.
+`chosen` also loads your own code, as `module:Name` (docs/simulate/your_own_code.md). Use it only for text that a user typed,
+never for a name from a file.
 """
 
 import argparse
@@ -51,7 +51,7 @@ class Entry(NamedTuple):
     """One controller: `fishmj.control.<module>.build(robot, name, gains)` makes it.
 
     Attributes:
-        about: one line. tuned: it has a section of its name in controllers.toml, whose values are its gains.
+        about: one line. tuned: its gains are the section of its name in controllers.toml.
     """
 
     module: str
@@ -63,7 +63,7 @@ CONTROLLERS = {
     "drift": Entry("passive", "joints at zero", tuned=False),
     "pd": Entry("line_of_sight", "CPG + PD on the line of sight"),
     "pi": Entry("line_of_sight", "CPG + PI on the position vector"),
-    "dob": Entry("observer", "CPG + flow observer: the bar"),
+    "dob": Entry("observer", "CPG + flow observer: the baseline to beat"),
     "pnl": Entry("adrc", "proportional navigation alone"),
     "adrc-c1": Entry("adrc", "proportional navigation + ADRC"),
     "adrc-c2": Entry("adrc", "the same with other gains"),
@@ -73,11 +73,11 @@ CONTROLLERS = {
     "koopman-rls": Entry("koopman", "the same, adapting its model"),
     "mpc": Entry("mpc", "sampling MPC with a model of still water"),
     "mpc-flow": Entry("mpc", "sampling MPC that estimates the flow"),
-    "privileged": Entry("mpc", "mpc-flow, told the true flow: a bound, in simulations alone"),
+    "privileged": Entry("mpc", "mpc-flow with the true flow: an upper bound, for simulations only"),
 }
 NAMES = tuple(CONTROLLERS)
 GAINS = "controllers.toml"  # in data/calib
-MOST = {"1/s": 50, "deg": 1500, "m/s": 20, "s": 1000, "m": 100, "rad/s": 200}  # largest gain by its unit, else 1e4
+MOST = {"1/s": 50, "deg": 1500, "m/s": 20, "s": 1000, "m": 100, "rad/s": 200}  # largest gain by its unit; 1e4 for other units
 DIVISORS = (
     "frequency", "amplitude_deg", "turn_error_deg", "speed_floor", "observer_time", "wc", "wo", "b0", "distance_wc",
     "distance_wo", "distance_b0", "horizon", "temperature", "weight_drive", "weight_turn", "forget",
@@ -86,7 +86,7 @@ DIVISORS = (
 
 def anyway_option(parser: argparse.ArgumentParser) -> None:
     """Adds `--anyway`."""
-    about = "let policies steer on another command path than they were trained on; another structure is refused all the same"
+    about = "allow policies on another command path than in training; policies for another structure are still refused"
     parser.add_argument("--anyway", action="store_true", help=about)
 
 
@@ -98,7 +98,7 @@ def shipped_lines() -> str:
 
 
 def _swimming(robot: "Robot | str") -> Robot:
-    """Robot unchanged; a robot by name or file in its default water."""
+    """Returns a `Robot` unchanged; loads one by name or file in its default water."""
     return robot if isinstance(robot, Robot) else in_water(load_robot(robot))
 
 
@@ -109,16 +109,16 @@ def make(
     anyway: bool = False,
     **options: Any,
 ) -> Controller:
-    """Makes a controller by name, with gains of a file as FILE.toml:NAME, or from a policy by name, file or folder. It runs only
-    fishmj's code: the name may be from a file.
+    """Makes a controller by name, with gains of a file as FILE.toml:NAME, or from a policy by name, file or folder.
 
     Args:
-        anyway: a policy may steer on another command path than it was trained on.
-        options: gains of controllers.toml to change, for example `make("dob", observer_time=1.0)`.
+        name: may come from a file, because only fishmj's code runs.
+        anyway: accept a policy that was trained on another command path.
+        options: gains to change, for example `make("dob", observer_time=1.0)`.
 
     Raises:
         UnknownName: no such controller, policy or gain.
-        ConfigError: the robot's joints are not those of the gains, or it is not the robot of the policy.
+        ConfigError: gains or policy do not fit the robot.
     """
     robot, name = _swimming(robot), str(name)
     file, name = _split(name)
@@ -152,7 +152,7 @@ def _split(text: str) -> tuple[Path | None, str]:
 
 
 def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> Controller:
-    """Makes a controller that the user named: as `make`, or by `module:Name`, `file.py:Name` or entry point. Runs that code.
+    """Makes a controller that the user named: as `make`, or from the user's own `module:Name`, `file.py:Name` or entry point.
 
     Args:
         policy: `anyway` of `make`.
@@ -173,11 +173,11 @@ def chosen(text: "str | Path", robot: "Robot | str" = "fish", **policy: Any) -> 
 
 
 def several(texts, robot: "Robot | str" = "fish", **policy: Any) -> list[Controller]:
-    """Makes controllers by `chosen` for a list; of two with one name (two best.safetensors) the second gets `-2`, with notes."""
+    """Makes a list of controllers by `chosen`; if two have the same name, the second gets the suffix `-2` and a note."""
     words, found = list(texts), {}
     for i in sorted(
         range(len(words)), key=lambda i: words[i] in CONTROLLERS
-    ):  # last those that measure gaits: a mistyped name first
+    ):  # those that measure gaits last, so that a mistyped name fails at once
         found[i] = chosen(words[i], robot, **policy)
     made: list[Any] = [found[i] for i in range(len(words))]
     first, names = [controller.name for controller in made], []
@@ -197,19 +197,19 @@ def shipped_gains() -> dict[str, dict]:
 
 
 def gains_of(section: str, changes: dict | None = None, file: "Path | None" = None) -> dict:
-    """Values of one section, some of them changed.
+    """Gains of one section, with `changes`.
 
     Args:
-        file: of `fishmj tune`, whose gains replace the shipped ones.
+        file: output of `fishmj tune`; its gains replace the shipped ones.
     Raises:
-        UnknownName: a gain that does not exist. ConfigError: the file has no such section, or a gain of another form or range.
+        UnknownName: no such gain. ConfigError: the file has no such section, or a gain has the wrong type or is out of range.
     """
     values = {key: entry["value"] for key, entry in shipped_gains()[section].items()}
     if file is not None:
         table = read_toml(file).get(section)
         if not isinstance(table, dict):
             raise ConfigError(
-                f"{file}: has no section [{section}]; fishmj tune {section} --out {shlex.quote(str(file))} writes it"
+                f"{file}: no section [{section}]; write it with fishmj tune {section} --out {shlex.quote(str(file))}"
             )
         stated = {key: entry.get("value") if isinstance(entry, dict) else entry for key, entry in table.items()}
         changes = {**stated, **(changes or {})}
@@ -217,7 +217,7 @@ def gains_of(section: str, changes: dict | None = None, file: "Path | None" = No
         if key not in values:
             raise UnknownName(f"gain of {section}", key, values)
         if np.shape(value) != np.shape(values[key]) or not np.issubdtype(np.asarray(value).dtype, np.number):
-            raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected the form of {values[key]!r}")
+            raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected a value such as {values[key]!r}")
         kind, unit = type(values[key]) is int, shipped_gains()[section][key]["unit"]
         within = Number(2 if kind else 0, MOST.get(unit, 1e4), above=key in DIVISORS, whole=kind)
         if not all(within.holds(part) for part in np.ravel(value).tolist()):

@@ -4,12 +4,12 @@
     psi''  = f + b0 bias                                              f: everything else, estimated as z3
     bias   = (wc^2 (psi_r - z1) - 2 wc z2 - z3) / b0                  linear ADRC, poles at wc, observer poles at wo
     d'     = f_d + b_d s,   s = (-wd d - z_d) / b_d                   first-order linear ADRC on the distance; s: gait speed
-    PNL    psi' = N lambda' + k wrap(lambda - psi) by the bias that turns its gait so in still water;  s = cruise
+    PNL    psi' = N lambda' + k wrap(lambda - psi), by the bias that gives this turning rate in still water;  s = cruise
 
 Guelman 1971 (proportional navigation); Gao 2003 (bandwidth parametrisation). The observers are discrete current estimators
 with poles exp(-wo T) (Miklosovic, Radke, Gao 2006): at T = 0.2 s an Euler step of wo = 8 rad/s would not be stable.
-Departures: heading and target come from the same `StateEstimator` as every other baseline (a heading with the beat in it
-saturates the loop); inside `hover_radius` the gait idles at `hover_speed`, which for PNL is the line's slow end.
+Differences from the sources: heading and target come from the `StateEstimator` that all baselines share, because head yaw at the
+beat frequency saturates the loop. Inside `hover_radius` the gait idles at `hover_speed`, for PNL the slow end of the gait line.
 """
 
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ class ExtendedStateObserver:
             self.l = np.array([1 - beta**2, (1 - beta) ** 2 / dt])
 
     def start(self, first) -> None:
-        """Starts at the measurement `first` (B,), at rest."""
+        """Sets the state to the measurement `first` (B,), with all derivatives zero."""
         self.z = np.zeros((len(first), len(self.b)))
         self.z[:, 0] = first
 
@@ -62,10 +62,10 @@ def navigation(k: Mapping, sight, before, heading, distance, dt: float):
 
 
 class ProportionalNavigation:
-    """Proportional navigation alone over the shared CPG: no feedback but the line of sight.
+    """Proportional navigation with the shared CPG; feedback is the line of sight only.
 
     Args:
-        authority: yaw rate a rad of bias and m/s of gait speed, 1/m.
+        authority: yaw rate per bias and gait speed, (rad/s) / (rad m/s) = 1/m.
     """
 
     def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, authority: float, gains):
@@ -100,7 +100,7 @@ class Adrc:
         self.distance = ExtendedStateObserver(2, k["distance_wo"], -k["distance_b0"], self.dt)
 
     def reset(self, n: int) -> None:
-        """Starts n fish; the first observation sets the observers."""
+        """Starts n fish; the first observation initialises the observers."""
         self.cpg.reset(n)
         self.navigator.reset(n)
         self.bias, self.speed = np.zeros(n), np.zeros(n)

@@ -2,8 +2,8 @@
 
     phi' = 2 pi f,     c_i = min(1, 3 / J) A sin(phi - lag_i) + bias / J      [rad], i = 1..J
 
-Frequency f, amplitude A and bias (summed over the joints; positive bends the tail to the right, which turns the fish to
-the right) move towards their goals at a limited rate, so that no chunk starts with a jump.
+Frequency f, amplitude A and bias move towards their goals at a limited rate, so that commands never jump. The bias is summed
+over the joints; a positive one bends the tail to the right, which turns the fish to the right.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from fishmj.mjcf.description import Robot
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Limits on the speed with which the goals are followed."""
+    """Rate limits of frequency, amplitude and bias."""
 
     frequency: float  # Hz/s
     amplitude: float  # rad/s
@@ -29,15 +29,15 @@ class Cpg:
     """B oscillators.
 
     Args:
-        robot: gives bus ticks and the command path; under `hold` a chunk repeats the wave's value at its middle, and a beat above
-            half the control rate is noted once for each robot: the joints beat slower.
+        robot: defines bus ticks and command path. With `hold` a control step repeats the wave's value at its middle; a beat
+            above half the control rate then aliases, which is warned of once for each robot.
         lag: (J,) rad behind the phase.
         rates: limits on the rates of f, A and bias.
     """
 
     def __init__(self, robot: Robot, lag, rates: Rates):
         self.lag, self.rates = np.asarray(lag, float), rates
-        self.share = min(1.0, 3 / len(self.lag))  # many joints together bend as far as three
+        self.share = min(1.0, 3 / len(self.lag))  # more than three joints share the bend of three
         self.ticks = ticks_per(robot)[1]
         self.dt = robot.timing.bus_dt
         self.hold = robot.timing.command_path == "hold"
@@ -61,20 +61,17 @@ class Cpg:
         return np.repeat(wave[:, [self.ticks // 2 - 1]], self.ticks, 1) if self.hold else wave
 
     def _note_alias(self, beat: float) -> None:
-        """Warns once for each robot and control rate that commands show another beat than the wave's."""
+        """Warns once for each robot and control rate that sampling aliases the beat."""
         rate = 1 / self.control_dt
         seen = abs(beat - round(beat / rate) * rate)
         console.warn_once(
-            f"robot {self.name!r}: a beat of {beat:.3g} Hz on command_path 'hold' becomes one of {seen:.3g} Hz at the joints;"
+            f"robot {self.name!r}: a beat of {beat:.3g} Hz on command_path 'hold' aliases to {seen:.3g} Hz at the joints;"
             f" expected at most {0.5 * rate:.3g} Hz, half the control rate; take path 'linear' or a slower beat",
             ("beat", self.name, rate),
         )
 
     def _towards(self, now, goal, rate: float):
-        """Straight line (B, T) from `now` towards `goal`, as far as `rate` allows in the control step.
-
-        Values at the ticks' ends.
-        """
+        """Ramp (B, T) from `now` towards `goal` with at most this rate; values at the ends of the ticks."""
         most = rate * self.ticks * self.dt
         share = (np.arange(self.ticks) + 1) / self.ticks
         return now[:, None] + np.clip(goal - now, -most, most)[:, None] * share

@@ -1,14 +1,14 @@
-"""State estimate from the 11 observations: target, velocity and heading in axes that do not turn with the fish.
+"""Estimate of target, velocity and heading from the 11 observations, in axes that do not turn with the fish.
 
-In each beat the head yaws by up to 40 deg and the reference point sways by up to 4 cm, both nearly in proportion to the joints
-(`gait.measure`: nine tenths of them). The joint angles therefore remove the beat, without a filter's delay:
+In each beat the head yaws by up to 40 deg and the reference point sways by up to 4 cm. The joint angles explain nine tenths of
+both (`gait_table.measure`), so the beat is subtracted by them, without the delay of a filter:
 
     omega = w + c . K,     psi = integral of omega           heading of the swimming direction and its rate
     r + n s . J,           v - n s . K                       target from, and velocity of, the path's centre; n = left of psi
 
-The observations are late: the pose by the camera, the tracker's rates by half its window more. Joint angles are prompt, so they
-are interpolated back to those times by cubic Hermite interpolation between the last two control steps. The axes are those of the
-fish at reset; they drift with the noise of w (some 0.2 rad in a minute), too slowly to matter.
+The pose is late by the camera's latency, and velocities by half the tracker's window more. Joint angles have no latency, so they
+are interpolated back to those times (cubic Hermite between the last two control steps). The axes are those of the fish at reset;
+they drift with the noise of w, by some 0.2 rad in a minute, which is slow enough.
 """
 
 from typing import NamedTuple
@@ -33,8 +33,8 @@ class StateEstimator:
 
     Args:
         robot: gives the nominal latencies and the control step.
-        wobble: (J,) c, rad of head yaw a rad of joint angle.
-        sway: (J,) s, m to the left a rad of joint angle.
+        wobble: (J,) c, head yaw per joint angle, rad/rad.
+        sway: (J,) s, displacement to the left per joint angle, m/rad.
     """
 
     def __init__(self, robot: Robot, wobble, sway):
@@ -56,7 +56,10 @@ class StateEstimator:
         target, velocity, rate, joint, joint_rate = obs[:, :2], obs[:, 2:4], obs[:, 4], obs[:, 5 : 5 + j], obs[:, 5 + j :]
         old, old_rate = self.before or (joint, joint_rate)
         then = lambda age: hermite(old, old_rate, joint, joint_rate, self.dt, 1 - age / self.dt)
-        (bend, _), (bend_rates, speed) = then(self.pose_age), then(self.rate_age)  # at the picture, and when the rates held
+        (bend, _), (bend_rates, speed) = (
+            then(self.pose_age),
+            then(self.rate_age),
+        )  # when the picture was taken, and at the middle of the velocity window
         turn = rate + speed @ self.wobble
         if self.turn is not None:
             self.heading = self.heading + self.dt * 0.5 * (turn + self.turn)

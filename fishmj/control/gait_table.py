@@ -1,7 +1,7 @@
-"""Steady gaits of a robot in its own water: the controllers' model of their fish.
+"""Measured steady gaits of a robot in its own water, from which the classical controllers take their model.
 
-`measure` swims the nominal fish in still water over a grid of frequency and amplitude, and with bias: four seconds of computing
-for any description. `gait_of` keeps the result in the cache, by robot, water and source of fishmj.
+`measure` simulates the nominal fish in still water over a grid of frequency and amplitude, and with bias, in four seconds.
+`gait_of` caches the result by robot, water and source code of fishmj.
 
 A throttle u in [0, 1] moves along one line of the map, f = f0 + u (f1 - f0), A = A0 + u (A1 - A0), on which speed rises.
 """
@@ -26,12 +26,12 @@ from fishmj.water.water_identity import water_identity
 
 QUICK = Rates(frequency=20.0, amplitude=10.0, bias=10.0)  # start-up does not matter here
 SETTLE, WATCH = 10.0, 10.0  # s
-BEATS = (0.1, 0.85)  # body lengths/s of the gaits from which wobble and sway are taken; of slower fish the faster half
-SLOWEST = 0.05  # body lengths/s of the fastest gait, below which a fish does not swim
+BEATS = (0.1, 0.85)  # body lengths/s of the gaits that give wobble and sway; for slower fish, the faster half of the gaits
+SLOWEST = 0.05  # body lengths/s; a fish whose fastest gait is slower does not swim
 
 
 def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=SETTLE + WATCH, engine="batch"):
-    """Traces of steady gaits in still water: pose (B, T, 3), joint (B, T, J), servo power (B, T); 50 Hz."""
+    """Simulates steady gaits in still water; returns pose (B, T, 3), joint (B, T, J), servo power (B, T) at 50 Hz."""
     n = len(frequency)
     engine, cpg = engines.make(engine, robot), Cpg(robot, lag, QUICK)
     cpg.reset(n)
@@ -47,7 +47,7 @@ def swim(robot: Robot, lag, frequency, amplitude, bias, velocity=None, seconds=S
 
 
 def gait_of(robot: Robot) -> dict:
-    """Rates and grids of controllers.toml [gait], with the lag [rad] and the measured gaits of this robot in its water.
+    """Section [gait] of controllers.toml, with the lag [rad] and the measured gaits of this robot in its water.
 
     Raises ConfigError: the robot does not swim.
     """
@@ -60,44 +60,44 @@ def gait_of(robot: Robot) -> dict:
 
 
 def surrogate(robot: Robot) -> Robot:
-    """The robot in a water that every engine swims: in place of the flow solver its fitted water, or the strips."""
+    """Robot in a water that every engine supports: instead of the flow solver the fitted water, or strips if there is none."""
     if choice.label(robot) not in choice.SOLVED:
         return robot
     try:
         fitted = choice.fitted_for(robot)
     except FishmjError as error:
-        console.warn(f"gaits are measured in the strips of the description: {error}")
+        console.warn(f"gaits are measured with the strip coefficients of the description: {error}")
         fitted = None
     return choice.in_water(robot, choice.FITTED if fitted else choice.STRUCTURED)
 
 
 def cached(what: str, robot: Robot, make: Callable[[], Mapping], asked=None) -> dict[str, np.ndarray]:
-    """Arrays that `make` computes from a robot's surrogate, from the cache where they are.
+    """Arrays that `make` computes from a robot's surrogate, or the cached ones.
 
     Args:
-        what: folder in the cache. asked: all else on which the result depends.
+        what: folder in the cache. asked: everything else on which the result depends.
     """
     mark = repr((robot, robot.effects, water_identity(robot), asked, package_sha256()))
     path = cache_folder() / what / f"{robot.name}_{hashlib.sha256(mark.encode()).hexdigest()[:16]}.npz"
     try:
         return store.read_npz(path)
-    except StoreError:  # absent or damaged
+    except StoreError:  # missing or damaged
         made = {key: np.asarray(value, float) for key, value in make().items()}
     try:
         store.write_npz(path, made)
     except StoreError as error:
-        console.warn(f"{what} of {robot.name} are computed anew each time: {error}")
+        console.warn(f"{what} of {robot.name} cannot be cached and are computed each time: {error}")
     return made
 
 
 def measure(robot: "Robot | str", lag, frequency, amplitude_deg, engine: str = "batch") -> dict:
-    """Measures steady speed over the grid, head yaw and sway a joint angle, turning rate a bias, gliding length.
+    """Measures steady speed over the grid, head yaw and sway per joint angle, turning rate per bias, and glide length.
 
     Args:
         lag: (J,) rad. frequency: (F,) Hz. amplitude_deg: (A,) deg.
     Returns:
-        speed (F, A) m/s; wobble (J,) rad/rad; sway (J,) m/rad; turn rad/s a rad of bias and m/s of speed; glide m; residual (2,):
-        parts of head yaw and sway that the joints do not explain.
+        speed (F, A) m/s; wobble (J,) rad/rad; sway (J,) m/rad; turn: yaw rate per bias and speed, 1/m; glide m; residual (2,):
+        shares of head yaw and sway that the joints do not explain.
     Raises:
         ConfigError: no gait of the grid swims.
     """
@@ -111,8 +111,8 @@ def measure(robot: "Robot | str", lag, frequency, amplitude_deg, engine: str = "
         speed = shift / ((pose.shape[1] - 1 - late) * robot.timing.bus_dt)
         if not (top := speed.max()) > (least := SLOWEST * robot.length):
             raise ConfigError(
-                f"robot {robot.name} in water {choice.label(robot)}: {len(f)} gaits swim {top:.3g} m/s at most, expected"
-                f" {least:.3g} m/s or more; no hand-made controller can steer it"
+                f"robot {robot.name} in water {choice.label(robot)}: the fastest of {len(f)} gaits swims {top:.3g} m/s, expected"
+                f" {least:.3g} m/s or more; no classical controller can steer it"
             )
         keep = (speed > min(BEATS[0] * robot.length, top / 2)) & (speed < BEATS[1] * robot.length)
         wobble, sway, residual = _beat(pose[keep, late:], joint[keep, late:])
@@ -124,7 +124,7 @@ def measure(robot: "Robot | str", lag, frequency, amplitude_deg, engine: str = "
 
 
 def _beat(pose, joint):
-    """c and s in psi_head = psi - c . J and y = s . J, by least squares over gaits with a small ridge; and the residuals."""
+    """Fits c and s in psi_head = psi - c . J and y = s . J over all gaits (ridge regression); returns them and the residuals."""
     t = np.linspace(-1, 1, pose.shape[1])
     line = np.stack([np.ones_like(t), t], 1)
     level = lambda x: x - line @ np.linalg.lstsq(line, x, rcond=None)[0]
@@ -138,7 +138,7 @@ def _beat(pose, joint):
 
 
 def _turn(robot: Robot, lag, engine) -> float:
-    """Median of yaw rate over (bias x steady speed), rad/s a rad and m/s: the effect of a bias on a swimming fish."""
+    """Median of yaw rate / (bias x steady speed), 1/m: the effect of a bias on a swimming fish."""
     f, a, b = (g.ravel() for g in np.meshgrid((0.6, 1.0, 1.4), np.radians([15, 20, 25]), np.radians([15, 30, 60]), indexing="ij"))
     pose, _, _ = swim(robot, lag, f, a, b, engine=engine)
     late, dt = round(SETTLE / robot.timing.bus_dt), robot.timing.bus_dt
@@ -148,7 +148,7 @@ def _turn(robot: Robot, lag, engine) -> float:
 
 
 def _glide(robot: Robot, lag, engine) -> float:
-    """Length l in v' = -v^2 / l for a straight fish: the distance over which a glide loses the factor e of its speed, m."""
+    """Glide length l [m] in v' = -v^2 / l of a straight fish: the distance after which its speed has fallen to 1/e."""
     start = 0.56 * robot.length
     pose, _, _ = swim(robot, lag, np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, start), seconds=3.0, engine=engine)
     speed = np.diff(pose[0, :, 0]) / robot.timing.bus_dt
@@ -183,19 +183,19 @@ class SpeedToGait:
         return scale * value
 
     def __call__(self, speed):
-        """(f [Hz], A [rad]) for a wanted steady speed (B,) m/s, kept on the line."""
+        """(f [Hz], A [rad]) for a wanted steady speed (B,) m/s, clipped to the ends of the line."""
         u = np.interp(speed, self.speeds, self.u)
         return tuple(self.low[i] + u * (self.high[i] - self.low[i]) for i in range(2))
 
 
 def throttle_of(gait: Mapping, gains: Mapping) -> SpeedToGait:
-    """The gait line between the two ends that a controller's gains name."""
+    """Gait line between the two ends in a controller's gains."""
     low, high = ((f, np.radians(a)) for f, a in zip(gains["frequency"], gains["amplitude_deg"], strict=True))
     return SpeedToGait(gait, low, high)
 
 
 def _cell(axis, x):
-    """Index of the cell that holds x and the part of it, clamped to the axis."""
+    """Index of the cell that holds x, and the fractional position in it, clipped to the axis."""
     x = np.clip(x, axis[0], axis[-1])
     i = np.clip(np.searchsorted(axis, x, "right") - 1, 0, len(axis) - 2)
     return i, (x - axis[i]) / (axis[i + 1] - axis[i])

@@ -1,4 +1,4 @@
-"""Koopman-LQR: a linear model of lifted states by EDMD, and its linear-quadratic regulator for heading and speed.
+"""Koopman-LQR: a linear model of lifted states, identified by EDMD, and its linear-quadratic regulator for heading and speed.
 
     z+ = K z + B u,   psi+ = psi + k z + b u,   u = (A f, bias A f)            EDMD: least squares over swims of the surrogate
     z  = (v1, v2, w, v2 w, v1 w, v1 v2, v1^2, v2^2, w |w|, u of the step before)
@@ -10,8 +10,8 @@ are left out of z: they follow from the velocities and have no weight. v1, v2 ar
 
     koopman         still water: v over ground and U^ = 0, as in the paper
     koopman-flow    v through the water; U^ <- U^ + dt / tau (v - v^ - U^) with the model's v^
-    koopman-rls     the same; K and B also follow each fish by recursive least squares that forgets towards the EDMD model, and
-                    the regulator takes one step of the Riccati recursion in each control step
+    koopman-rls     the same; K and B also adapt to each fish by recursive least squares that forgets towards the EDMD model, and
+                    each control step does one step of the Riccati recursion
 """
 
 import numpy as np
@@ -30,10 +30,10 @@ from fishmj.mjcf.description import Robot
 from fishmj.tasks.episode import ControlLoop, Scenario
 from fishmj.water.flow import Flow, stack
 
-FISH, STEPS, HELD = 96, 100, (5, 16)  # of the swims: fish, control steps, control steps that an input is held
-BIAS = np.radians(120)  # largest of the swims
+FISH, STEPS, HELD = 96, 100, (5, 16)  # training swims: fish, control steps, range of control steps with a constant input
+BIAS = np.radians(120)  # largest bias in them
 RIDGE = 1e-6
-FAR = 100  # times as large as the model of the swims: an adapted model that diverged
+FAR = 100  # an adapted model this many times as large as the EDMD model has diverged
 
 
 def lifted(v1, v2, turn, before) -> np.ndarray:
@@ -51,9 +51,9 @@ def edmd(x, u, y) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lqr(a, b, q, r) -> tuple[np.ndarray, np.ndarray]:
-    """Regulator L (M, P) of u = -L x for x+ = a x + b u and cost x q x + u r u, and the solution (P, P) of its Riccati equation.
+    """Gain L (M, P) of u = -L x for x+ = a x + b u and cost x q x + u r u, and the solution (P, P) of its Riccati equation.
 
-    Raises ConfigError: no such regulator exists.
+    Raises ConfigError: the Riccati equation has no solution.
     """
     try:
         p = solve_discrete_are(a, b, q, r)
@@ -63,10 +63,10 @@ def lqr(a, b, q, r) -> tuple[np.ndarray, np.ndarray]:
 
 
 def swims(robot: Robot, gait) -> dict[str, np.ndarray]:
-    """Swims of the surrogate in still water under random gaits, as the state estimator sees them without noise.
+    """Training data: swims of the surrogate in still water with random gaits, through the state estimator without noise.
 
     Returns:
-        z (N, 11), u (N, 2), after (N, 11), turned (N,) rad: observables, inputs, observables one step later, change of heading.
+        z (N, 11) observables, u (N, 2) inputs, after (N, 11) observables one step later, turned (N,) change of heading, rad.
     """
     robot = surrogate(robot)
     rng, loop = np.random.default_rng(0), ControlLoop(robot, "batch")
@@ -80,7 +80,7 @@ def swims(robot: Robot, gait) -> dict[str, np.ndarray]:
     high = np.array([gait["frequency"][-1], np.radians(gait["amplitude_deg"][-1]), BIAS])
     goal, left, u = np.zeros((FISH, 3)), np.zeros(FISH, int), np.zeros((FISH, 2))
     rows: list[tuple] = []
-    with console.Progress(STEPS, f"swims of {robot.name} for its Koopman model", unit="steps") as bar:
+    with console.Progress(STEPS, f"swimming {robot.name} for its Koopman model", unit="steps") as bar:
         for k in range(STEPS):
             fix = eyes(loop.observe(np.zeros((FISH, 2)), np.zeros((FISH, 5 + 2 * robot.n_joints))))
             v = turned(fix.velocity, -fix.heading)
@@ -119,14 +119,14 @@ class KoopmanModel:
 
 
 def of_state(rows, p: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices (.., P + 1, P + 1) and (.., P + 1, M) of x = (psi, z) from rows (.., P + 1, P + M)."""
+    """State matrix (.., P + 1, P + 1) and input matrix (.., P + 1, M) for x = (psi, z), from rows (.., P + 1, P + M)."""
     a = np.concatenate([np.zeros((*rows.shape[:-1], 1)), rows[..., :p]], -1)
     a[..., 0, 0] = 1.0
     return a, rows[..., p:]
 
 
 class KoopmanLqr:
-    """Koopman-LQR over the CPG. With gain `observer_time` flow-aware, with `forget` [s] also adaptive."""
+    """Koopman-LQR over the CPG. The gain `observer_time` adds the flow estimate, `forget` [s] adaptation."""
 
     def __init__(self, name: str, cpg: Cpg, throttle: SpeedToGait, navigator: StateEstimator, model: KoopmanModel, gains):
         self.name, self.cpg, self.throttle, self.navigator, self.model, self.k = name, cpg, throttle, navigator, model, gains
@@ -140,7 +140,7 @@ class KoopmanLqr:
         self.first = lqr(*of_state(model.rows, self.p), self.q, self.r)
 
     def reset(self, n: int) -> None:
-        """Starts n fish with the model of the swims and a flow estimate of zero."""
+        """Starts n fish with the EDMD model and a flow estimate of zero."""
         self.cpg.reset(n)
         self.navigator.reset(n)
         self.estimate.reset(n)
@@ -177,7 +177,7 @@ class KoopmanLqr:
         return commands
 
     def _steady(self, speed) -> tuple[np.ndarray, np.ndarray]:
-        """Observables (B, P) and drive (B,) of the model's straight swim at a speed (B,)."""
+        """Observables (B, P) and input A f (B,) of steady straight swimming at a speed (B,), by the model."""
         p = self.p
         still = np.eye(p) - self.rows[:, 1:, :p]
         unit = np.linalg.solve(still, self.rows[:, 1:, p, None])[..., 0]
@@ -185,16 +185,16 @@ class KoopmanLqr:
         return unit * drive[:, None], drive
 
     def _observe(self, fix) -> None:
-        """One step of the model's speed through the water, and of the flow estimate."""
+        """Updates the model's speed through the water and the flow estimate by one step."""
         if self.before is not None:
             z = lifted(self.through[:, 0], self.through[:, 1], self.before[0][:, 2], self.before[0][:, -2:])
             both = np.concatenate([z, self.before[1]], 1)
-            most = 2 * self.throttle.top  # the lifted model is not stable far from its swims
+            most = 2 * self.throttle.top  # the lifted model is unstable far from its training data
             self.through = np.clip((self.rows[:, 1:3] @ both[..., None])[..., 0], -most, most)
         self.flow = self.estimate(fix.velocity, turned(self.through, fix.heading))
 
     def _adapt(self, z, heading) -> None:
-        """One step of recursive least squares and of the Riccati recursion; a model that diverges falls back on the swims'."""
+        """Does one step of recursive least squares and of the Riccati recursion; resets a diverged model to the EDMD model."""
         if self.before is None:
             return
         keep = np.exp(-self.dt / self.k["forget"])

@@ -1,4 +1,4 @@
-"""A trained policy as a controller: 11 numbers in, three joint angles out, on the robot's command path."""
+"""Controller made from a trained policy: 11 observations in, three joint angles out, on the robot's command path."""
 
 import os
 from functools import cache
@@ -21,11 +21,11 @@ from fishmj.water.water_identity import water_identity
 
 SHIPPED_ROBOTS = ("fish", "tendon_fish")
 TOLD = ("robot", "structure_sha256", "constants_sha256", "water", "command_path", "seed", "command")  # of a header
-OTHERS = "in simulations the controller dob steers any fish, and fishmj train --robot FILE makes a policy for this one"
+OTHERS = "train one for this robot, fishmj train --robot FILE; in simulations the controller dob steers any fish"
 
 
 class LearnedController:
-    """Wraps `fishmj.control.policy.Policy`; `action` is its last output, `sha256` the file's, `notes` the remarks for the user.
+    """Wraps `fishmj.control.policy.Policy`. `action`: its last output; `sha256`: of its file; `notes`: remarks for the user.
 
     Args:
         source: path of a policy file or of a training's folder, or the name of a shipped one.
@@ -36,7 +36,7 @@ class LearnedController:
 
     def __init__(self, robot: Robot, source: str, anyway: bool = False):
         if source in CONTROLLERS:
-            why = "is told the true flow, which no robot knows" if source == "privileged" else "is for simulations"
+            why = "needs the true flow, which no robot knows" if source == "privileged" else "is for simulations only"
             raise ConfigError(f"controller {source}: {why}; expected a policy: shipped, a file, or the folder of a training")
         self.robot, self.policy = robot, Policy.load(source)
         path, of_a_run = file_of(source), os.path.isdir(source)
@@ -46,8 +46,8 @@ class LearnedController:
         wanted = (5 + 2 * robot.n_joints, robot.n_joints)
         if (self.policy.n_obs, self.policy.n_act) != wanted:
             raise ConfigError(
-                f"policy {source}: takes {self.policy.n_obs} observations and gives {self.policy.n_act} actions; "
-                f"robot {robot.name} has {wanted[0]} and {wanted[1]}; {self._remedy(robot)}"
+                f"policy {source}: has {self.policy.n_obs} observations and {self.policy.n_act} actions; "
+                f"robot {robot.name} needs {wanted[0]} and {wanted[1]}; {self._remedy(robot)}"
             )
         self.anyway = anyway
         found = self._fit(robot)
@@ -59,10 +59,10 @@ class LearnedController:
         self.notes = tuple(f"policy {self.name}: {note}" for note in (*taken, *found.notes))
 
     def _remedy(self, robot: Robot) -> str:
-        """Advice where the policy does not fit this robot."""
+        """Advice for a policy that does not fit this robot."""
         own, option = str(self.policy.meta.get("robot", robot.name)), robot_option()
         file = next((name for name in SHIPPED_ROBOTS if load_robot(name).name == own), "FILE")
-        named = f": name that one, {option} {file}; or" if option else ";"
+        named = f": name that robot, {option} {file}; or" if option else ";"
         return f"it was trained for {shown(own)}{named} {OTHERS}" if own != robot.name else OTHERS
 
     def trained(self, robot: Robot | None = None, *, in_tank: bool = False) -> dict:
@@ -70,9 +70,9 @@ class LearnedController:
 
         Args:
             robot: in its water; by default the robot for which the policy was made.
-            in_tank: the water is a tank's, which is what it is: not compared.
+            in_tank: the water is that of a real tank, and is not compared.
         Returns:
-            the header's values of TOLD, "differs": {what: [there, here]}, "said": that in one clause, "lacks": [what]
+            the header's values of TOLD; "differs": {what: [training, here]}; "said": the same as text; "lacks": missing keys
         """
         found = self._fit(robot or self.robot)
         told = {key: self.policy.meta[key] for key in TOLD if self.policy.meta.get(key) is not None}
@@ -113,7 +113,7 @@ def body_of(robot: Robot) -> PolicyBody:
 
 
 def robot_in(env: Any) -> Robot:
-    """Robot of an environment, or `env` itself if it is one. Raises ConfigError for anything else."""
+    """Robot of an environment, or `env` itself if it is a robot. Raises ConfigError for anything else."""
     for part in ("unwrapped", "task", "rules"):  # Gymnasium's wrappers, dm_control's task, the rules of both
         env = getattr(env, part, env)
     if not isinstance(robot := getattr(env, "robot", env), Robot):
@@ -124,7 +124,7 @@ def robot_in(env: Any) -> Robot:
 
 
 def header_of(robot: Robot) -> dict:
-    """Header of a policy that was trained on this robot, without its network."""
+    """Header of a policy trained on this robot, without the keys of the network."""
     body = body_of(robot)
     return {
         "robot": body.name,
@@ -152,5 +152,5 @@ def shipped_constants(digest: str | None) -> dict[str, dict]:
 
 @cache
 def shipped_structures() -> dict[str, dict]:
-    """Structures of the robots that come with fishmj, by name: for policies whose header has only the name."""
+    """Structures of the shipped robots by name, for older policies whose header has only the name."""
     return {robot.name: structure_of(robot) for robot in map(load_robot, SHIPPED_ROBOTS)}

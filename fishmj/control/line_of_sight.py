@@ -1,8 +1,8 @@
-"""PD on the line of sight, and PI on the position vector. Neither observes the flow; the PI's integral compensates for it.
+"""Line-of-sight PD and position PI controllers. Neither estimates the flow; the integral of the PI compensates for it.
 
     pd   W = k_p r - k_d v                      r to the target, v over ground, all in axes fixed at reset
-    pi   W = k_p r - k_d v + I,   I' = k_i r    |I| <= integral_max; near the target it can only be minus the flow
-Course = direction of W, speed through the water = |W|, the proportional part capped at `approach`.
+    pi   W = k_p r - k_d v + I,   I' = k_i r    |I| <= integral_max; near the target it converges to minus the flow
+The course is the direction of W, the speed through the water |W|; the proportional part is limited to `approach`.
 """
 
 from collections.abc import Mapping
@@ -20,10 +20,10 @@ class HeadingSpeedController:
     """Converts course and speed of B fish to bias and throttle, for PD, PI and DOB. Gains are named in controllers.toml.
 
         bias = -(k_heading wrap(psi_d - psi) - k_turn psi') / (g max(s, s_floor)),   |bias| <= bias_max
-        s_d  = speed max(cos(psi_d - psi), 0)                                         no thrust into a wrong direction
+        s_d  = speed max(cos(psi_d - psi), 0)                                         no thrust in a wrong direction
 
-    A bias turns the fish in proportion to the steady speed s of its gait (g, measured), so the bias is scheduled with it.
-    A slow gait cannot turn: with a large error the amplitude rises towards `turn_amplitude`.
+    The turning rate is proportional to bias and steady speed s of the gait (factor g, measured), so the gain is scheduled by s.
+    A slow gait cannot turn, so a large heading error raises the amplitude towards `turn_amplitude`.
     """
 
     def __init__(self, robot: Robot, gait: Mapping, cpg: Cpg, gains: Mapping):
@@ -55,13 +55,13 @@ class HeadingSpeedController:
 
 
 def capped(vectors, most):
-    """Vectors (B, 2) shortened to at most `most`."""
+    """Vectors (B, 2) with their length limited to `most`."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors * np.minimum(1.0, most / np.maximum(length, 1e-9))
 
 
 class LineOfSight:
-    """Line-of-sight PD over the CPG; with `integral` > 0 vector PI."""
+    """Line-of-sight PD over the CPG; with the gain `integral` > 0 the vector PI."""
 
     def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains):
         self.name, self.steering, self.navigator, self.k = name, steering, navigator, gains

@@ -1,17 +1,16 @@
-"""Model predictive control by sampling (MPPI): amplitude, bias and frequency through the averaged model of the measured gaits.
+"""Sampling-based model predictive control (MPPI) of amplitude, bias and frequency, with the averaged model of measured gaits.
 
     p' = w e(psi) + U,   w' = (s(f, A)^2 - w^2) / l,   psi' = g bias s(f, A)
     cost = mean over the horizon of d + effort (A f)^3,  + final d at its end;   d = |r - p|
-    plan <- sum of samples weighted by exp(-(cost - least) / temperature)
+    plan <- mean of the samples, weighted by exp(-(cost - least cost) / temperature)
 
 Averaged model with amplitude and bias as controls: Castano & Tan 2019 (J. Dyn. Syst. Meas. Control 141, 071012). Sampling:
-Williams et al. 2017 (J. Guid. Control Dyn. 40, 344). s, g and l are measured (`gait_table`). A plan has three knots of (f, A,
-bias) and straight lines between them. A decision, 96 samples of 12 steps of the model, takes 0.3 ms on one core, 6 ms for 72
-fish together.
+Williams et al. 2017 (J. Guid. Control Dyn. 40, 344). s, g and l are measured (`gait_table`). A plan interpolates (f, A, bias)
+linearly between three knots. A decision, 96 samples of 12 model steps, takes 0.3 ms on one core, 6 ms for 72 fish together.
 
-    mpc        still water, as in the paper: U = 0, w the measured forward speed over ground
+    mpc        assumes still water, as in the paper: U = 0, w the measured forward speed over ground
     mpc-flow   U and w from the flow observer of `dob`
-    privileged U told, w the forward speed through the water: a bound on what an observer can bring
+    privileged true U, w the forward speed through the water: an upper bound for any flow observer
 """
 
 import numpy as np
@@ -23,14 +22,14 @@ from fishmj.control.gait_table import SpeedToGait, gait_of, throttle_of
 from fishmj.control.observer import FlowEstimate, forward, glided
 from fishmj.mjcf.description import Robot
 
-KNOTS, STEPS, FINE = 3, 12, 64  # knots of a plan, steps of the model, cells of its table of speeds a side
+KNOTS, STEPS, FINE = 3, 12, 64  # knots of a plan, steps of the model, cells along each axis of its speed table
 
 
 class AveragedModel:
-    """The fish without its beat.
+    """Model of the fish averaged over a beat.
 
     Args:
-        low, high: (3,) least and most f [Hz], A [rad] and bias [rad]. turn: g, 1/m. glide: l, m. step: s.
+        low, high: (3,) bounds of f [Hz], A [rad] and bias [rad]. turn: g, 1/m. glide: l, m. step: s.
     """
 
     def __init__(self, throttle: SpeedToGait, low, high, turn: float, glide: float, step: float):
@@ -45,7 +44,7 @@ class AveragedModel:
         return self.table[i, j]
 
     def path(self, surge, heading, flow, controls) -> tuple[np.ndarray, np.ndarray]:
-        """Positions x and y (B, S, H) m from the start.
+        """Predicted positions x and y (B, S, H) m relative to the start.
 
         Args:
             surge: (B,) m/s. heading: (B,) rad. flow: (B, 2) m/s. controls: (B, S, H, 3).
@@ -96,12 +95,12 @@ class SamplingMpc:
         return self.cpg(*self.plan[:, 0].T)
 
     def _observe(self, fix: StateEstimate) -> None:
-        """One step of the speed through the water, and of the flow, which stays zero here."""
+        """Updates speed through the water and flow estimate, which stays zero here."""
         self.surge = np.maximum(turned(fix.velocity - self.flow, -fix.heading)[:, 0], 0.0)
 
 
 class ObservingMpc(SamplingMpc):
-    """The same with the flow observer of `dob`."""
+    """MPPI with the flow observer of `dob`."""
 
     def reset(self, n: int) -> None:
         """Starts n fish with a flow estimate of zero."""
@@ -117,22 +116,20 @@ class ObservingMpc(SamplingMpc):
 
 
 class PrivilegedMpc(SamplingMpc):
-    """The same, told the true flow. For simulations alone."""
+    """MPPI with the true flow, for simulations only."""
 
     def reset(self, n: int) -> None:
-        """Starts n fish that were not told a flow."""
+        """Starts n fish; call `set_flow` before the first step."""
         super().reset(n)
         self.told: np.ndarray | None = None
 
     def set_flow(self, flow) -> None:
-        """Takes the true flow (B, 2) m/s at the fish now, in its body axes; before every call."""
+        """Sets the true flow (B, 2) m/s at the fish now, in its body axes; call it before every step."""
         self.told = np.asarray(flow, float)
 
     def _observe(self, fix: StateEstimate) -> None:
         if self.told is None:
-            raise ConfigError(
-                f"controller {self.name}: was not told the flow; it steers where the flow is known: fishmj evaluate and play"
-            )
+            raise ConfigError(f"controller {self.name}: needs `set_flow` before every step; fishmj evaluate and play do it")
         self.flow, self.told = turned(self.told, fix.head), None
         super()._observe(fix)
 

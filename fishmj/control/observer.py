@@ -1,13 +1,13 @@
-"""CPG with a flow observer ("dob"): the classical baseline for learning.
+"""CPG with a flow observer ("dob"), the classical baseline for learned policies.
 
     v_w' = (s(f, A)^2 - v_w^2) / l               speed through the water; l the glide length, s the steady gait
-    U^  <- U^ + dt / tau (v - v_w e(psi) - U^)   flow = rest of the velocity over ground; tau grows from 0 to its value
+    U^  <- U^ + dt / tau (v - v_w e(psi) - U^)   flow = velocity over ground - through the water; tau grows from 0
     W    = v_d + I - U^,   v_d = k (r - v t_a),  I' = k_i r
 
-r - v t_a is the position of the target when a present command acts; |v_d| <= approach. Within `hold` of the target (until beyond
-`release`) the fish holds. k then differs along and across the stream, the small I corrects errors of the gait map, and W stays
-within `cone` of upstream, so that the fish drifts back instead of turning its tail to the current. Course = direction of W,
-speed = the part of W along it.
+r - v t_a is the position of the target when a present command acts; |v_d| <= approach. Within `hold` of the target the fish holds
+station, until it is farther than `release`. k then differs along and across the stream, the small I corrects errors of the gait
+map, and W stays within `cone` of upstream, so that the fish drifts back instead of turning downstream. The course is the
+direction of W, the speed its component along the course.
 """
 
 import numpy as np
@@ -26,17 +26,17 @@ def forward(speed, heading):
 
 
 def glided(surge, steady, glide: float, dt: float):
-    """Speed through the water (B,) m/s after dt [s] of a gait with a steady speed (B,), by the glide length [m]."""
+    """Speed through the water (B,) m/s after dt [s], with a gait of steady speed (B,) m/s and a glide length [m]."""
     for _ in range(10):
         surge = surge + dt / 10 * (steady**2 - surge**2) / glide
     return surge
 
 
 class FlowEstimate:
-    """Flow (B, 2) m/s as the rest of the velocity over ground, by a first-order filter that learns fast at first.
+    """Estimate of the flow (B, 2) m/s, velocity over ground minus through the water, by a first-order filter.
 
     Args:
-        time: s, of the filter, which grows from 0 to it. dt: control step, s.
+        time: s, final time constant, to which that of the filter grows from 0. dt: control step, s.
     """
 
     def __init__(self, time: float, dt: float):
@@ -54,7 +54,7 @@ class FlowEstimate:
 
 
 class FlowObserver:
-    """Disturbance observer over the CPG. Egocentric: flow and target are in axes fixed at reset."""
+    """Flow (disturbance) observer over the CPG; flow and target are in axes fixed at reset."""
 
     def __init__(self, name: str, steering: HeadingSpeedController, navigator: StateEstimator, gains, glide: float):
         self.name, self.steering, self.navigator, self.k, self.glide = name, steering, navigator, gains, glide
@@ -92,7 +92,7 @@ class FlowObserver:
         return self.steering(fix, course, speed)
 
     def _observe(self, fix) -> None:
-        """One step of the glide model and of the flow estimate."""
+        """Updates the glide model and the flow estimate by one step."""
         self.surge = glided(self.surge, self.steering.steady, self.glide, self.dt)
         self.flow = self.estimate(fix.velocity, forward(self.surge, fix.heading))
 

@@ -1,6 +1,6 @@
 """A policy as an ONNX graph (extra `onnx`).
 
-    observation (N, n_obs), as the task gives it  ->  action (N, n_act) in [-1, 1]
+    observation (N, n_obs), unscaled  ->  action (N, n_act) in [-1, 1]
 
 A policy with memory m > 1 has two more inputs and one more output, so that the graph holds no state:
 
@@ -21,9 +21,9 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import sha256, write_bytes
 from fishmj.control.policy import Policy, file_of
 
-OPSET, IR_VERSION = 17, 8  # of 2022: what older runtimes read too
-CLOSE = 1e-6  # largest difference from NumPy
-STEPS, FISH, SEED = 40, 8, 0  # of the check
+OPSET, IR_VERSION = 17, 8  # of 2022, so that older runtimes read them too
+CLOSE = 1e-6  # tolerance of actions against NumPy
+STEPS, FISH, SEED = 40, 8, 0  # of the check against NumPy
 _ACTIVATIONS = {"relu": "Relu", "tanh": "Tanh"}
 
 
@@ -48,7 +48,7 @@ def onnx_model(policy: Policy, digest: str, name: str = "policy") -> Any:
     if others:
         width = others * (n_act + n_obs)
         constants.append(numpy_helper.from_array(np.array([0, n_act, 0, 0]), "pads"))
-        add("Pad", ["sight", "pads"], "rest")  # no action, and what is seen now
+        add("Pad", ["sight", "pads"], "rest")  # zero action and the present observation
         add("Concat", ["rest"] * others, "rested", axis=1)
         add("Where", ["restart", "rested", "window"], "past")
         add("Concat", ["sight", "past"], "seen", axis=1)
@@ -79,7 +79,7 @@ def onnx_model(policy: Policy, digest: str, name: str = "policy") -> Any:
 def interface(policy: Policy) -> str:
     """Inputs and outputs of the graph, for its `doc_string`."""
     meta = policy.meta
-    said = f"observation (N, {policy.n_obs}) float32 in SI units, undivided -> action (N, {policy.n_act}) in [-1, 1]."
+    said = f"observation (N, {policy.n_obs}) float32 in SI units, unscaled -> action (N, {policy.n_act}) in [-1, 1]."
     order = ", ".join(f"{one['name']} [{one['unit']}]" for one in meta.get("observation", ()))
     said += f" Observations in order: {order}." if order else ""
     said += f" Action: {meta['action']}, every {meta['control_dt']:g} s." if {"action", "control_dt"} <= set(meta) else ""
@@ -134,6 +134,6 @@ def write_onnx(source: str | Path, out: str | Path) -> float:
     evaluator = ReferenceEvaluator(model)
     off = largest_difference(policy, lambda given: evaluator.run(None, given))
     if not off <= CLOSE:
-        raise ConfigError(f"{path}: its ONNX graph is off by {off:.2g}, expected at most {CLOSE:g}; nothing was written")
+        raise ConfigError(f"{path}: its ONNX graph differs from NumPy by {off:.2g}, expected at most {CLOSE:g}; nothing written")
     write_bytes(out, model.SerializeToString())
     return off

@@ -1,4 +1,4 @@
-"""A controller of the user's own behind the common interface: it gets a copy, and its output is checked in every step."""
+"""Wrapper of the user's own controller: it passes a copy of the observations and checks every command."""
 
 from collections.abc import Sequence
 from inspect import isclass
@@ -13,17 +13,17 @@ from fishmj.engines import ticks_per
 from fishmj.mjcf.description import Robot
 
 EXAMPLE = (  # of a class in one line
-    "{0} is called with the robot, once, and gives the controller; if it takes obs itself, name a class of it:"
+    "{0} must take the robot and return the controller; if it takes obs, wrap it in a class and name that:"
     " class Mine: __init__ = lambda self, robot: None; reset = lambda self, n: None; __call__ = lambda self, obs: {0}(obs)"
 )
-LARGEST = np.pi  # rad, of a command: no hinge goes there, so it is degrees
+LARGEST = np.pi  # rad; a larger command is probably in degrees
 
 
 class Own:
-    """Wraps `factory(robot)`. taken: names that it may not have.
+    """Wraps `factory(robot)`. taken: names already in use.
 
     Attributes:
-        name: the object's own `name` if it is valid in a path, else made from the reference. sha256: of its source file.
+        name: the object's `name` if it is valid in a path, else made from the reference. sha256: of its source file.
 
     Raises OwnCodeError: the factory fails, or its result has no `reset(n)` and `__call__(obs)`.
     """
@@ -59,13 +59,13 @@ class Own:
         try:
             commands = np.array(answer, float)
         except (TypeError, ValueError) as error:
-            raise self._wrong(f"gave a {type(answer).__name__} that is no array of numbers", expected) from error
+            raise self._wrong(f"returned a {type(answer).__name__}, not an array of numbers", expected) from error
         if commands.shape != shape:
-            raise self._wrong(f"gave an array of shape {commands.shape}", expected)
+            raise self._wrong(f"returned an array of shape {commands.shape}", expected)
         if not np.isfinite(commands).all():
-            raise self._wrong(f"gave {int((~np.isfinite(commands)).sum())} values that are not finite", expected)
+            raise self._wrong(f"returned {int((~np.isfinite(commands)).sum())} values that are not finite", expected)
         if (most := float(np.abs(commands).max())) > LARGEST:
-            raise self._wrong(f"gave a command of {most:.4g}", f"{expected}, below {LARGEST:.3g}; are these degrees?")
+            raise self._wrong(f"returned a command of {most:.4g}", f"{expected}, below {LARGEST:.3g}; are these degrees?")
         self.count += 1
         return commands
 

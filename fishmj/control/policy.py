@@ -1,4 +1,4 @@
-"""A trained policy as plain NumPy, for the robot's host. No JAX, no MuJoCo.
+"""Trained policy in plain NumPy, so that the robot's host needs neither JAX nor MuJoCo.
 
     h_0 = o / scale,   h_l = f(W_l h_{l-1} + b_l),   a = tanh(W_L h_{L-1} + b_L) in [-1, 1]^3
 
@@ -7,8 +7,8 @@
 
 A file is safetensors (w0, b0, w1, ...) with a JSON header (`control.policy_meta`): the robot and its structure, the observations,
 scale, activation, memory, command path, and the training. With memory m > 1 the input is the newest observation followed by m - 1
-pairs (action, observation) back in time; the policy keeps that window itself, and `reset` says which fish begin anew.
-For the shipped files, whose bytes do not change, headers.json beside them has the keys.
+pairs (action, observation) back in time. The policy keeps this window; `reset` clears it for fish that begin a new episode.
+headers.json adds keys to the headers of the shipped files, whose bytes do not change.
 """
 
 import os
@@ -26,19 +26,19 @@ from fishmj.control.policy_meta import MOST, check_header, is_number, shown
 
 SCHEMA = "fishmj.policy/1"
 FOLDER = Path(__file__).resolve().parent / "policies"
-OF_A_RUN = ("best.safetensors", "last.safetensors")  # what a training leaves, the better one first
+OF_A_RUN = ("best.safetensors", "last.safetensors")  # policies of a training's folder, the better one first
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": lambda x: np.maximum(x, 0.0), "tanh": np.tanh}
 SHIPPED = {  # one line each, as `--help` lists them; docs/train/controllers.md has their figures
-    "station-family": "PPO with a memory of 8 observations, trained in a family of waters: for a robot whose water is not known",
+    "station-family": "PPO with a memory of 8 observations, trained in a family of waters, for robots without a fitted water",
     "station": "PPO, trained in the water fitted to the flow solver",
     "station-sac": "SAC with the paper's budget, trained in the same water",
     "station-sb3": "PPO of stable-baselines3, trained in the same water",
-    "pilot": "PPO, trained in an earlier fit of that water; steered episodes that the present one is fitted to",
+    "pilot": "PPO, trained in an earlier fit of that water; made data for the present fit",
     "paper": "PPO, trained in the structured water",
     "paper-sac": "SAC with the paper's budget, trained in the structured water",
 }
-BEST = "station-family"  # of the shipped ones, in waters that nobody fitted
-ALSO = "headers.json"  # beside the shipped files
+BEST = "station-family"  # the best shipped policy in waters without a fit
+ALSO = "headers.json"  # additional header keys of the shipped files
 
 
 def shipped() -> list[str]:
@@ -52,9 +52,9 @@ def is_policy(text: "str | Path") -> bool:
 
 
 def file_of(source: "str | Path") -> Path:
-    """File of a policy by path, by shipped name, or by the folder of a training: its best, else its last.
+    """File of a policy by path, shipped name, or folder of a training (its best, else its last policy).
 
-    Raises UnknownName: no such name; StoreError: no such file, not a plain one, or a folder without a policy.
+    Raises UnknownName: no such name; StoreError: no such file, not a regular file, or a folder without a policy.
     """
     path, named = Path(source), FOLDER / f"{source}.safetensors"
     if os.path.isdir(source) and path.suffix != ".safetensors" and str(source) not in shipped():
@@ -84,13 +84,15 @@ class Policy:
     weights: list[tuple[np.ndarray, np.ndarray]]
     meta: dict
     _window: np.ndarray | None = field(default=None, repr=False)
-    _fresh: np.ndarray | None = field(default=None, repr=False)  # (B,) bool, fish that begin anew
+    _fresh: np.ndarray | None = field(default=None, repr=False)  # (B,) bool, fish that begin an episode
 
     def __post_init__(self):
         try:
             self.weights = [(np.asarray(w), np.asarray(b)) for w, b in self.weights]
         except (TypeError, ValueError) as error:
-            raise ConfigError("policy: layers; expected pairs (weights (out, in), bias (out,)), one for each layer") from error
+            raise ConfigError(
+                "policy: wrong layers; expected pairs (weights (out, in), bias (out,)), one for each layer"
+            ) from error
         if hasattr(scale := self.meta.get("scale"), "tolist"):  # NumPy's and JAX's arrays
             self.meta = {**self.meta, "scale": scale.tolist()}
 
@@ -105,7 +107,7 @@ class Policy:
 
         Args:
             env: environment of fishmj (JAX, Gymnasium, dm_control, stable-baselines3), or a `Robot` in its water.
-            layers: (weights (out, in), bias (out,)) of each layer, as PyTorch has them; of JAX's (in, out) the transpose.
+            layers: (weights (out, in), bias (out,)) of each layer, as in PyTorch; transpose JAX's (in, out).
             activation: of the hidden layers, tanh or relu.
             scale: (5 + 2 J,) divisors of one observation; None: `input_scale` of the environments.
             memory: observations that the network sees; None: as many as the environment stacks.
@@ -131,7 +133,7 @@ class Policy:
         policy.weights = [(np.asarray(w, np.float32), np.asarray(b, np.float32)) for w, b in policy.weights]
         (first, bias), *rest = policy.weights
         seen = seen + ([True] * robot.n_joints + seen) * (memory - 1)
-        policy.weights = [(first * np.asarray(seen, np.float32), bias), *rest]  # what training hid stays hidden on the robot
+        policy.weights = [(first * np.asarray(seen, np.float32), bias), *rest]  # observations hidden in training stay hidden
         return policy
 
     @classmethod
@@ -165,7 +167,7 @@ class Policy:
     def check(self, where: str) -> None:
         """Checks that shapes, scale, memory, activation and header fit together; raises one ConfigError."""
         if lacking := [key for key in ("activation", "scale") if self.meta.get(key) is None]:
-            raise ConfigError(f"{where}: the header lacks {' and '.join(lacking)}; Policy.of(env, layers) writes a whole one")
+            raise ConfigError(f"{where}: the header lacks {' and '.join(lacking)}; Policy.of(env, layers) writes a complete one")
         scale, memory, activation = (self.meta.get(k) for k in ("scale", "memory", "activation"))
         if not (isinstance(activation, str) and activation in _ACTIVATIONS):
             raise ConfigError(f"{where}: activation {shown(activation)}; known: {', '.join(_ACTIVATIONS)}")
@@ -178,12 +180,12 @@ class Policy:
         if not self.weights:
             raise ConfigError(f"{where}: holds no layers")
         if not all(a.dtype.kind == "f" for layer in self.weights for a in layer):
-            raise ConfigError(f"{where}: weights are no floating-point numbers")
+            raise ConfigError(f"{where}: weights are not floating-point numbers")
         width = self.n_obs * self.memory + (self.weights[-1][1].size if self.weights[-1][1].ndim == 1 else 0) * (self.memory - 1)
         for i, (w, b) in enumerate(self.weights):
             if w.ndim != 2 or w.shape[1] != width or b.shape != (w.shape[0],) or w.shape[0] == 0:
                 turned = w.ndim == 2 and (w.shape[0], b.shape) == (width, w.shape[1:])
-                todo = ": these are (in, out), expected (out, in): transpose" if turned else f", expected {width} inputs"
+                todo = ": got (in, out), expected (out, in); transpose them" if turned else f", expected {width} inputs"
                 raise ConfigError(f"{where}: layer {i} has weights {w.shape} and bias {b.shape}{todo}")
             width = w.shape[0]
         if not all(np.isfinite(w).all() and np.isfinite(b).all() for w, b in self.weights):
@@ -208,14 +210,14 @@ class Policy:
     def reset(self, rows: Any = None) -> None:
         """Clears the memory of the fish `rows` (B,) bool, by default all: their next observation is the first of an episode.
 
-        A number of fish means all, too. Raises ConfigError for other rows.
+        A number of fish also means all. Raises ConfigError for other rows.
         """
         if rows is None or np.ndim(rows) == 0 or self._window is None:
             self._window = self._fresh = None
             return
         rows = np.asarray(rows)
         if rows.shape != (len(self._window),) or rows.dtype != bool:
-            expected = f"({len(self._window)},) bool, True for a fish that begins anew"
+            expected = f"({len(self._window)},) bool, True for a fish that begins an episode"
             raise ConfigError(f"policy: reset of rows {rows.shape}, {rows.dtype}; expected {expected}")
         self._fresh = rows if self._fresh is None else rows | self._fresh
 
@@ -230,24 +232,24 @@ class Policy:
         action = np.tanh(x @ w.T + b).astype(np.float32)
         if not np.isfinite(action).all():
             raise ConfigError(
-                f"policy {self.meta.get('name', '')}: its answer is not finite; the weights are too large, or obs is not"
+                f"policy {self.meta.get('name', '')}: its action is not finite; the weights are too large, or obs is not finite"
             )
         if self.memory > 1:
             self._window, self._fresh = np.concatenate([action, seen], 1), None
         return action
 
     def inputs(self, obs: np.ndarray) -> np.ndarray:
-        """Inputs of the network (B, width) at observations (B, n_obs): scaled, the memory behind them. Raises ConfigError."""
+        """Inputs of the network (B, width) for observations (B, n_obs): scaled, followed by the memory. Raises ConfigError."""
         obs = np.atleast_2d(np.asarray(obs, np.float32))
         if obs.shape[1] != self.n_obs:
             raise ConfigError(f"policy {self.meta.get('name', '')}: got {obs.shape[1]} observations, expected {self.n_obs}")
         return self._recall(obs / np.asarray(self.meta["scale"], np.float32))
 
     def jacobian(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Actions (B, J) at inputs of the network (B, width), and their derivatives (B, J, width)."""
+        """Actions (B, J) for inputs of the network (B, width), and their derivatives (B, J, width)."""
         layers = [np.asarray(inputs)]
         f = _ACTIVATIONS[self.meta["activation"]]
-        slope = (lambda y: y > 0.0) if self.meta["activation"] == "relu" else (lambda y: 1.0 - y * y)  # from the output
+        slope = (lambda y: y > 0.0) if self.meta["activation"] == "relu" else (lambda y: 1.0 - y * y)  # of the unit's output y
         for w, b in self.weights[:-1]:
             layers.append(f(layers[-1] @ w.T + b))
         w, b = self.weights[-1]
@@ -258,7 +260,7 @@ class Policy:
         return action, back
 
     def _recall(self, sight: np.ndarray) -> np.ndarray:
-        """Input of the network: the present observation, then the window; at the start as if the fish had rested here."""
+        """Input of the network: the observation, then the window; an episode starts as if the fish had rested at its start."""
         if self.memory == 1:
             return sight
         width = self.n_obs * self.memory + self.n_act * (self.memory - 1)

@@ -1,15 +1,16 @@
-"""Header of a policy file: its keys, their checks, and the comparison with a robot. No JAX, no MuJoCo.
+"""Header of a policy file: its keys, their checks, and the comparison with a robot. Needs neither JAX nor MuJoCo.
 
-    structure         {links, lengths, joints, servo_range, reference_point}, and its `structure_sha256`: another count, order or
-                      range is refused, and a length or reference point that is off by more than 10 %
-    observation       [{name, unit}, ..] in order, with the divisors `scale`: another one is refused
-    control_dt        s between two decisions: another one is refused
-    command_path      path of commands between two decisions: another one is refused, unless the user sets `--anyway`
-    constants_sha256  of the rest of the description without its water, water {name, kind, sha256}, robot, a name: warning
+    structure         {links, lengths, joints, servo_range, reference_point}, and its `structure_sha256`. Refused if count, order
+                      or range differ, or a length or the reference point by more than 10 %
+    observation       [{name, unit}, ..] in order, with the divisors `scale`. Refused if it differs
+    control_dt        s between two decisions. Refused if it differs
+    command_path      path of commands between two decisions. Refused if it differs, unless the user sets `--anyway`
+    constants_sha256  hash of the rest of the description without its water. Warning if it differs, as for the next three
     constants         {name: number or text}, the single ones of these: the warning names those that differ
-    seed, command     of the training; the command as it was typed, null if called from Python
+    water, robot      {name, kind, sha256} of the water, name of the robot
+    seed, command     of the training; the command line, null if called from Python
 
-Keys that an older file lacks are not compared, with a note; its servo range and joint count are read from `action` and `joints`.
+Keys that an older file lacks are not compared, with a note; its servo range and joint count come from `action` and `joints`.
 """
 
 import math
@@ -24,13 +25,13 @@ from fishmj.base.names import is_name
 from fishmj.base.store import json_sha256
 from fishmj.water.water_identity import members_of
 
-CLOSE = 0.10  # of a link's length, what calibrations change
-SAME = 1e-3  # of ranges and times: rounding
-NAMED = 8  # constants that differ, in one line
-MOST = 1000  # links, observations: beyond them it is no fish
+CLOSE = 0.10  # relative tolerance of lengths, which calibrations change
+SAME = 1e-3  # relative tolerance of ranges and times, for rounding
+NAMED = 8  # largest number of differing constants in one line
+MOST = 1000  # plausible number of links or observations
 LONGEST = 4000  # characters of a training command
-KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files have no last one
-HASHED = {  # what differs by its hash -> what that may be
+KEYS = ("links", "lengths", "joints", "servo_range", "reference_point")  # of a structure; older files lack the last
+HASHED = {  # part with another hash -> what may differ
     "structure": "lengths or reference point off by at most 10 %",
     "constants": "other masses, sections, servo, timing or effects",
 }
@@ -39,11 +40,11 @@ UNNAMED = "other sections, centres of mass, fins or sizes of effects"  # what `c
 
 
 class PolicyFit(NamedTuple):
-    """Result of the comparison of a policy with a robot.
+    """Differences between a policy's header and a robot.
 
     Attributes:
-        refused: reasons to refuse it. differs: differences from training -> (there, here), short words each.
-        lacks: keys that its header does not have. constants: those that differ, `servo kp 8, here 9.5`; "" if they do not.
+        refused: reasons to refuse the policy. differs: tolerated differences, name -> (in training, here) as short texts.
+        lacks: keys that its header does not have. constants: those that differ, `servo kp 8, here 9.5`; "" if none do.
     """
 
     refused: tuple[str, ...]
@@ -53,15 +54,15 @@ class PolicyFit(NamedTuple):
 
     @property
     def said(self) -> str:
-        """Differences in one clause, "" if there are none."""
+        """Differences as one clause; "" if there are none."""
         words = HASHED | ({"constants": self.constants} if self.constants else {})
         return "; ".join(words.get(key, f"{key} {there}, here {here}") for key, (there, here) in self.differs.items())
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """One line for the differences and one for the missing keys of the header, each only if there are any."""
+        """Notes for the user: one line for differences, one for missing keys, if there are any."""
         differs = (f"not as trained: {self.said}",) if self.differs else ()
-        lacks = (f"its header does not say {', '.join(self.lacks)}; that is not compared",) if self.lacks else ()
+        lacks = (f"its header lacks {', '.join(self.lacks)}, not compared",) if self.lacks else ()
         return differs + lacks
 
 
@@ -76,7 +77,7 @@ def check_header(meta: Any, where: str) -> None:
     if control_dt is not None and not (is_number(control_dt) and 0 < control_dt <= 100):
         raise ConfigError(f"{where}: control_dt {shown(control_dt)}; expected seconds, above 0 to 100")
     if joints is not None and not (isinstance(joints, int) and not isinstance(joints, bool) and 1 <= joints <= MOST):
-        raise ConfigError(f"{where}: joints {shown(joints)}; expected how many there are, 1 to {MOST}")
+        raise ConfigError(f"{where}: joints {shown(joints)}; expected their number, 1 to {MOST}")
     for key in ("structure_sha256", "constants_sha256"):
         if meta.get(key) is not None and not _is_digest(meta[key]):
             raise ConfigError(f"{where}: {key} {shown(meta[key])}; expected 64 hex digits")
@@ -87,7 +88,7 @@ def check_header(meta: Any, where: str) -> None:
     if (structure := meta.get("structure")) is not None:
         _check_structure(structure, where)
         if meta.get("structure_sha256") not in (None, structure_sha256(structure)):
-            raise ConfigError(f"{where}: structure and structure_sha256 do not belong together; train or export it again")
+            raise ConfigError(f"{where}: structure_sha256 is not the hash of structure; train or export it again")
     if meta.get("water") is not None:
         _check_water(meta["water"], where)
     command = meta.get("command")
@@ -110,10 +111,10 @@ def is_number(value: Any) -> bool:
 
 
 def shown(value: Any) -> str:
-    """Value from a foreign file, shortened for one line of an error."""
+    """Text of a value from an untrusted file, shortened for one line of an error."""
     try:
         text = repr(value) if not isinstance(value, list) or len(value) <= 20 else f"a list of {len(value)}"
-    except (ValueError, RecursionError):  # an integer of thousands of digits; a table nested without end
+    except (ValueError, RecursionError):  # an integer of thousands of digits; a table nested too deeply
         text = f"a {type(value).__name__}"
     return text if len(text) <= 80 else text[:76] + "..."
 
@@ -138,21 +139,21 @@ def effects_drawn(meta: dict) -> tuple[str, ...]:
 
 
 def structure_sha256(structure: dict) -> str:
-    """Hex digest of a structure in the form of a header."""
+    """Hex digest of a structure in the format of a header."""
     return json_sha256(structure)
 
 
 def one_line(command: str) -> str:
-    """Typed command in the form of a header: printable, and not too long."""
+    """Command line for a header: printable, and not too long."""
     return "".join(c if c.isprintable() else "?" for c in command)[:LONGEST]
 
 
 def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFit:
-    """Compares the policy with this checked header to a robot.
+    """Compares a checked header with a robot.
 
     Args:
-        anyway: accept another command path than that of training.
-        known: structures by robot name, for headers that have the name of a robot without its structure.
+        anyway: accept another command path than in training.
+        known: structures by robot name, for older headers without a structure.
     """
     refused: list[str] = []
     differs: dict[str, tuple[str, str]] = {}
@@ -196,15 +197,15 @@ def fit(meta: dict, robot: PolicyBody, *, anyway: bool, known: dict) -> PolicyFi
 
 
 def robot_option() -> str:
-    """Option by which the running command takes a description; "" if it takes none."""
+    """Option of the running command for the robot's description; "" if it has none."""
     return next(filter(console.offers, ("--robot", "--fish")), "")
 
 
 def timing_advice(key: str, value: str) -> str:
-    """Ways to give the robot the timing of a policy, by options that the running command has."""
+    """Advice on how to give the robot the timing of a policy, with options of the running command."""
     option, named = f"--{key.replace('_', '-')}", robot_option()
     todo = f"put {key} = {value} into [timing] of its description, FILE.toml"
-    todo += f", and name that ({named} FILE.toml)" if named else ""
+    todo += f", and use that file ({named} FILE.toml)" if named else ""
     return f"{todo}, or add {option} {value.strip(chr(34))}" if console.offers(option) else todo
 
 
@@ -223,9 +224,9 @@ def _constants(theirs: dict | None, ours: dict) -> str:
 
 
 def _waters(theirs: dict, ours: dict) -> tuple[str, str] | None:
-    """Short names of two waters if they differ, else None; without a hash on both sides the names decide.
+    """Short names of two waters if they differ, else None; compares hashes if both have one, else names.
 
-    A member of the family of a training is one of the waters that its episodes drew.
+    A member of the family in which a policy was trained does not count as different.
     """
     a, b = theirs.get("sha256"), ours.get("sha256")
     named = theirs["name"] == ours["name"]

@@ -1,8 +1,8 @@
-"""Engines: advance a batch of fish by bus ticks of 20 ms. All give the same swim; they differ in speed and in where they run.
+"""Engines: advance a batch of fish by bus ticks of 20 ms. All compute the same motion; they differ in speed and hardware.
 
 planar    JAX, closed form; CPU and GPU, jit-able
 compiled  numba, generated from the closed form; CPU (extra `fast`)
-batch     MuJoCo C, many fish at once; the judge
+batch     MuJoCo C, many fish at once; the reference for evaluations
 mjx       MuJoCo in JAX; GPU, jit-able
 """
 
@@ -26,8 +26,8 @@ from fishmj.water.prior import unflat
 ENGINES = {"planar": "PlanarEngine", "compiled": "CompiledEngine", "batch": "BatchEngine", "mjx": "MjxEngine"}  # module -> class
 NAMES = tuple(ENGINES)
 T = TypeVar("T")
-Steps = Generator[None, None, T]  # pauses while a device works; its value is what it was asked for
-BUFFER = 9  # bus commands remembered at least, newest last: latencies up to 7 ticks
+Steps = Generator[None, None, T]  # yields while a device works, so that the host can do other work; returns its result
+BUFFER = 9  # minimal length of the command buffer, newest last; allows latencies up to 7 ticks
 
 
 class FishState(NamedTuple):
@@ -37,7 +37,7 @@ class FishState(NamedTuple):
     v: Any  # (B, nv) m/s, rad/s
     attached: Any  # (B,) tail attachment, 0..1
     buffer: Any  # (B, BUFFER, J) bus commands, rad, newest last; longer where the latency needs it (`rows_of`)
-    memory: Any  # (B, M) what effects and a learnt water remember (extensions.py); M = 0 without them
+    memory: Any  # (B, M) internal state of effects and a learnt water (extensions.py); M = 0 without them
 
 
 class FishParams(NamedTuple):
@@ -51,7 +51,7 @@ class FishParams(NamedTuple):
     water: Any  # (B, 2 N + 11) coefficients of the strip model, flat
     delay: Any  # (B,) int, command latency in physics steps, effects included
     effects: Any  # (B, P) parameters of the robot's effects, in the order of its description
-    net: Any  # (B,) int, which of the learnt residuals of the robot's water (`Extensions.nets`)
+    net: Any  # (B,) int, index of the fish's learnt residual in `Extensions.nets`
 
 
 class Trace(NamedTuple):
@@ -65,7 +65,7 @@ class Trace(NamedTuple):
 
 
 class Copied:
-    """An engine without state of a swim: a deep copy of its environment shares it, a pickle makes it anew.
+    """Base of stateless engines: a deep copy shares the engine, unpickling makes a new one.
 
     Attributes:
         arguments: its constructor's arguments.
@@ -81,7 +81,7 @@ class Copied:
 
 
 def drained(steps: Steps[T]) -> T:
-    """Runs a generator to its end, without other work at its pauses, and returns its value."""
+    """Runs a generator to its end and returns its value."""
     while True:
         try:
             next(steps)
@@ -96,12 +96,12 @@ def make(name: str, robot: "Robot | str" = "fish", **options):
     if name not in NAMES:
         raise UnknownName("engine", name, NAMES)
     robot = load_robot(robot)
-    robot = in_water(robot, who=f"the engine {name}") if "model" in robot.water else robot  # stated or chosen
+    robot = in_water(robot, who=f"the engine {name}") if "model" in robot.water else robot  # already chosen, or chosen here
     return getattr(import_module(f"fishmj.engines.{name}"), ENGINES[name])(robot, **options)
 
 
 def fastest() -> str:
-    """Name of the fastest engine on a CPU: `compiled` where numba is installed, else `planar`. Both swim alike to round-off."""
+    """Name of the fastest engine on a CPU: `compiled` if numba is installed, else `planar`. Both agree to round-off."""
     try:
         import numba  # noqa: F401
     except ImportError:
@@ -110,14 +110,16 @@ def fastest() -> str:
 
 
 def of(engine: Any, robot: Robot):
-    """Engine that a caller means: an engine itself, a name for this robot, or None for the fastest one.
+    """Engine from an argument: an engine itself, a name for this robot, or None for the fastest one.
 
-    Raises UnknownName, MissingExtra: as `make`; ConfigError: it has no `advance`.
+    Raises UnknownName, MissingExtra: as `make`; ConfigError: the object has no `advance`.
     """
     if engine is None or isinstance(engine, str):
         return make(fastest() if engine is None else engine, robot)
     if isinstance(engine, type) or not callable(getattr(engine, "advance", None)):
-        raise ConfigError(f"engine = {shown_value(engine)}; expected one of {', '.join(NAMES)}, or an engine, with `advance`")
+        raise ConfigError(
+            f"engine = {shown_value(engine)}; expected one of {', '.join(NAMES)}, or an engine object with `advance`"
+        )
     return engine
 
 
@@ -127,7 +129,7 @@ def name_of(engine: Any) -> str:
 
 
 def nominal_params(robot: Robot, batch: int) -> FishParams:
-    """Calibrated fish, `batch` times, without randomisation (NumPy)."""
+    """Parameters of `batch` calibrated fish without randomisation (NumPy)."""
     s, added = planar_chain.nominal(robot), Extensions.of(robot)
     rows = lambda values: np.tile(np.asarray(values, float), (batch, 1))
     delay = round(command_latency(robot) / robot.timing.physics_dt)
@@ -145,13 +147,13 @@ def nominal_params(robot: Robot, batch: int) -> FishParams:
 
 
 def command_latency(robot: Robot) -> float:
-    """Time [s] until a command acts: nominal latency plus that of the description's effects."""
+    """Command latency [s]: nominal, plus that of the description's effects."""
     added = Extensions.of(robot) if robot.effects else None
     return robot.timing.command_latency + (float(added.late(np, added.row, "command")) if added is not None else 0.0)
 
 
 def swimmer(params: FishParams) -> planar_chain.Swimmer:
-    """Component lists for the closed form from (B, ...) arrays."""
+    """`Swimmer` of the closed form, with lists of components, from (B, ...) arrays."""
     columns = lambda a: [a[..., i] for i in range(a.shape[-1])]
     mass, kp, kv, kb, zero, water = (columns(a) for a in params[:6])
     return planar_chain.Swimmer(mass, kp, kv, kb, zero, unflat(water), params.net[...])
@@ -167,7 +169,7 @@ def at_rest(robot: Robot, pose) -> FishState:
 
 
 def rows_of(robot: Robot) -> int:
-    """Number of bus commands that the engines remember of this robot: latency, nominal or drawn, of effects, two for ramps."""
+    """Length of this robot's command buffer: enough for its largest latency, effects included, and two commands for ramps."""
     longest = robot.timing.drawn_latency("command_latency")[1]
     return bus_rows(robot, max(BUFFER, ceil(longest / robot.timing.bus_dt - 1e-9) + 2))
 

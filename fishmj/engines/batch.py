@@ -1,7 +1,7 @@
 """Many fish in MuJoCo's C engine: a persistent `mujoco.batch.Batch`, the water through `qfrc_applied`.
 
 In each physics step the closed form solves (M + M_a + h D) a = f and hands MuJoCo the water's share Q_water - M_a a. MuJoCo
-applies its own servo, solves its own M + h D and integrates. MuJoCo therefore moves the fish, and the added mass is never lagged.
+applies its own servo, solves its own M + h D and integrates. MuJoCo thus moves the fish, and the added mass acts without delay.
 The closed form is evaluated in float64 by the compiled evaluator (extra `fast`), or by JAX without it.
 
 Masses, inertias and servo gains differ from fish to fish inside MuJoCo's models as well (`expand`).
@@ -25,17 +25,17 @@ from fishmj.mjcf.servos import on_the_bus, targets_of_tick
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Current, sample
 
-SMALLEST = 16  # fish below which a second thread does not pay
+SMALLEST = 16  # with fewer fish a second thread is slower
 
 
 class BatchEngine(Copied):
     """MuJoCo C, batched. NumPy in, NumPy out; not jit-able.
 
-    Each thread has one `ThreadedBatch` with a part of the fish; MuJoCo, the evaluator and large NumPy operations hold no lock.
+    Each thread has a `ThreadedBatch` with a part of the fish; MuJoCo, the evaluator and large NumPy operations release the GIL.
 
     Args:
         robot: description or name.
-        threads: at most so many; default, the CPUs this process may use.
+        threads: maximal number of threads; default, the CPUs that this process may use.
         evaluator: "compiled" (needs numba), "jax", or None for the faster one that is installed.
     """
 
@@ -46,13 +46,13 @@ class BatchEngine(Copied):
         self.arguments = self.robot, threads, evaluator
         self.steps, self.ticks = ticks_per(self.robot)
         ch = planar_chain.chain_of(self.robot)
-        self._parts = mjcf.build(self.robot, bare=True), *evaluator_of(self.robot, ch, evaluator)  # written to by nobody
+        self._parts = mjcf.build(self.robot, bare=True), *evaluator_of(self.robot, ch, evaluator)  # read-only
         self._start(threads or usable_cores())
 
     def _start(self, threads: int) -> None:
-        """Allocates memory and threads, which two users must not share."""
+        """Allocates memory and threads, which copies of the engine do not share."""
         self.shoals = [ThreadedBatch(self.robot, *self._parts) for _ in range(threads)]
-        self._table: tuple = (None, None)  # as it was given, and in float64
+        self._table: tuple = (None, None)  # flow table as given, and its float64 copy
         self._pool = ThreadPoolExecutor(threads, "fishmj-batch")
 
     def __deepcopy__(self, memo: dict) -> "BatchEngine":
@@ -67,7 +67,7 @@ class BatchEngine(Copied):
         Returns:
             (FishState, Trace with T ticks), float64 NumPy.
 
-        Raises SimDiverged: MuJoCo warned of, or reset, a fish; names the first.
+        Raises SimDiverged: MuJoCo warned about or reset a fish; names the first.
         """
         commands = on_the_bus(self.robot.servo, np.asarray(commands, float))
         check_commands(commands, self.robot.n_joints)
@@ -155,7 +155,7 @@ class ThreadedBatch:
 
 
 def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None) -> tuple:
-    """Functions that evaluate water and flow in float64; those of the compiled engine hold no lock of the interpreter.
+    """Functions that evaluate water and flow in float64; those of the compiled engine release the GIL.
 
     Returns:
         f(q, v, attached, params, target, flow, ambient, memory) -> (applied (B, nv), attached, power, memory (B, M)), and
@@ -165,7 +165,7 @@ def evaluator_of(robot: Robot, ch: planar_chain.Chain, name: str | None) -> tupl
         try:
             from fishmj.engines.compiled import CompiledEngine as Compiled
 
-            compiled = Compiled(robot, threads=1)  # each shoal brings its own thread
+            compiled = Compiled(robot, threads=1)  # called from the thread of each `ThreadedBatch`
             compiled._evaluate, compiled._look  # noqa: B018  compile now, not in the first step
             return compiled.forces, compiled.look
         except MissingExtra:

@@ -1,8 +1,8 @@
-"""From one step written in components to straight-line source: jaxpr -> value graph -> Python text.
+"""Code generator: turns a physics step in components into straight-line source, jaxpr -> value graph -> Python text.
 
-`jax.make_jaxpr` of a function on scalars is a list of primitive operations. The graph below holds each value once (common
-subexpressions meet), folds constants and the identities 0 x, 1 x, x + 0, and keeps only what the outputs need. The text is plain
-Python arithmetic on names, so it runs in NumPy at float64 (how it is tested) and compiles by numba at float32 (how it is used).
+`jax.make_jaxpr` of a function on scalars is a list of primitive operations. The graph below eliminates common subexpressions and
+dead code, and folds constants and the identities 0 x, 1 x, x + 0. The text is plain Python arithmetic on names: tests run it in
+NumPy at float64, and numba compiles it at float32 for use.
 """
 
 import math
@@ -34,19 +34,19 @@ class Program(NamedTuple):
         return "".join(f"{indent}{name} = {text}\n" for name, text in self.lines)
 
     def numbers(self) -> str:
-        """The constants as text; `real` is the float type."""
+        """Definitions of the constants as text; `real` is the float type."""
         return "".join(f"{name} = real({value!r})\n" for name, value in self.constants.items())
 
 
 class Graph:
-    """Values by number; equal values share one number."""
+    """Graph of numbered values; equal values share one number."""
 
     def __init__(self):
         self.nodes, self.number = [], {}
 
     def add(self, *node) -> int:
         """The number of `node` = (operation, arguments...)."""
-        # a + b and b + a round alike: with sorted operands they are one value
+        # a + b and b + a round alike, so sorted operands make them one value
         if node[0] in COMMUTES and node[1] > node[2]:
             node = (node[0], node[2], node[1])
         if node not in self.number:
@@ -68,7 +68,7 @@ class Graph:
         known = [self.value(a) for a in args]
         if op in FOLD and None not in known:
             return self.constant(FOLD[op](*known))
-        # 0 x = 0 is false for inf and nan; here it is intended: a coefficient of zero removes its term
+        # 0 x = 0 is wrong for inf and nan, but intended here: a zero coefficient removes its term
         if op == "mul":
             for value, other in zip(known, args[::-1], strict=True):
                 if value == 0.0:
@@ -85,7 +85,7 @@ class Graph:
             return args[0]
         if op == "sub" and known[0] == 0.0:
             return self.apply("neg", args[1])
-        # a product is faster than a quotient; the reciprocal is computed in float64, before constants become float32
+        # a product is faster than a quotient; the reciprocal is computed in float64, before rounding to float32
         if op == "div" and known[1] is not None:
             return self.apply("mul", args[0], self.constant(1.0 / known[1]))
         if op == "neg" and self.nodes[args[0]][0] == "neg":
@@ -125,14 +125,16 @@ class Graph:
                 results = [self.apply(op, *inputs)]
             else:
                 known = ", ".join(sorted({*BINARY, *CALLS, *COMPARE, "neg", "select_n", "integer_pow", "square"}))
-                raise ConfigError(f"compiled engine: the physics uses {op!r}, which the generator cannot write; it knows {known}")
+                raise ConfigError(
+                    f"compiled engine: the physics uses {op!r}, which the code generator does not support; supported: {known}"
+                )
             env.update(zip(eqn.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
     def program(self, inputs: list, outputs: list, prefix: str) -> Program:
-        """Text of everything that `outputs` (numbers) need; constants are named prefix0, prefix1, ..."""
-        # backwards from the outputs: unused values are never written. Numbers rise from arguments to results, so sorting them
-        # gives an order in which every value stands before its use
+        """Program that computes `outputs` (numbers); constants are named prefix0, prefix1, ..."""
+        # going backwards from the outputs leaves unused values out. Numbers rise from arguments to results, so in sorted order
+        # every value is defined before its use
         needed, stack = set(), list(outputs)
         while stack:
             number = stack.pop()
@@ -167,19 +169,19 @@ def _text(op: str, args: list) -> str:
 
 
 def trace(function: Any, names: Any, prefix: str = "k") -> Program:
-    """The straight-line program of `function`, called with scalars in the shape of `names`.
+    """Traces `function` to a straight-line program; its argument has the structure of `names`, with scalars.
 
     Args:
         function: takes one pytree, returns a list of scalars.
         names: the same pytree with a distinct string in place of every scalar.
-        prefix: how the names of constants start.
+        prefix: prefix of the names of constants.
     Raises:
         ConfigError: the function uses an operation that the generator does not know.
     """
     import jax
 
     leaves, shape = jax.tree_util.tree_flatten(names)
-    with jax.enable_x64(True):  # constants stay exact until they are written
+    with jax.enable_x64(True):  # constants stay exact until rounding in the text
         closed = jax.make_jaxpr(lambda *flat: function(jax.tree_util.tree_unflatten(shape, flat)))(*[0.5] * len(leaves))
     graph = Graph()
     inputs = [graph.add("in", name) for name in leaves]

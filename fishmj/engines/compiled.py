@@ -1,14 +1,14 @@
 """The closed-form fish as machine code: the fastest engine on a CPU (extra `fast`).
 
 The physics is `planar_chain.step`, translated and compiled (numba_build.py), 16 fish in a vector loop. The network of a learnt
-residual is a loop of its own, which takes the weights as an argument (residual_lanes.py). Threads share blocks of fish and hold
-no lock. `advance` equals `planar.PlanarEngine.advance` to round-off; a fish moves the same, to the bit, in any batch and with any
-number of threads.
+residual is a separate loop, which takes the weights as an argument (residual_lanes.py). Threads work on blocks of fish without
+the GIL. `advance` equals `planar.PlanarEngine.advance` to round-off. The motion of a fish is bit-identical in any batch and with
+any number of threads.
 
     from NumPy          state, trace = engine.advance(state, commands, params, current, tick)
-    inside jax.jit      the same call, on the CPU: one call of the host by name (`host_call`), so that JAX keeps the program
-                        on disk; no JAX code runs in it (what waits for JAX there can wait for ever). `vmap` runs it once
-                        for every entry of the mapped axis.
+    inside jax.jit      the same call, on the CPU, as one host callback by name (`host_call`), so that JAX can cache the program
+                        on disk. No JAX code runs in the callback, because it could deadlock. `vmap` calls it once for each
+                        entry of the mapped axis.
 
 Not differentiable: use `planar` for gradients.
 """
@@ -46,11 +46,11 @@ from fishmj.water.dynamics import strip_forces
 from fishmj.water.flow import Current
 
 WATER = len(strip_forces.Coefficients._fields) - 2  # coefficients of a water besides k and cn of each link
-CHUNK = 8  # blocks of numba_build.LANES fish that a thread must have for it to pay
+CHUNK = 8  # minimal number of blocks of numba_build.LANES fish for a thread; with fewer it is slower
 DTYPES: dict[int, np.dtype] = {11: np.dtype(np.float32), 12: np.dtype(np.float64)}  # XLA_FFI_DataType
-METADATA = 1  # XLA_FFI_Extension_Type: asked once, when the name is bound
+METADATA = 1  # XLA_FFI_Extension_Type of the query when the name is registered
 INTERNAL = 13  # XLA_FFI_Error_Code
-_BOUND: dict[str, Any] = {}  # name -> its C function, which must outlive every program
+_BOUND: dict[str, Any] = {}  # name -> its C function, which must live as long as any program that calls it
 
 
 class Applied(NamedTuple):
@@ -67,19 +67,19 @@ class CompiledEngine(Copied):
 
     Args:
         robot: description or name.
-        threads: at most so many; default, the CPUs this process may use.
+        threads: maximal number of threads; default, the CPUs that this process may use.
         dtype: of `advance`: "float32", or "float64" for comparisons (about half as fast).
     Raises:
         MissingExtra: numba is not installed.
     """
 
-    jittable = True  # through a call of the host, CPU only
+    jittable = True  # through a host callback, on a CPU only
 
     def __init__(self, robot: "Robot | str" = "fish", threads: int | None = None, dtype: str = "float32"):
         if dtype not in fast_math.PRECISIONS:
             raise ConfigError(f"compiled engine: dtype = {dtype!r}; choose one of {', '.join(fast_math.PRECISIONS)}")
         if threads is not None and threads < 1:
-            raise ConfigError(f"compiled engine: threads = {threads}; needs at least 1")
+            raise ConfigError(f"compiled engine: threads = {threads}; expected 1 or more")
         numba_build.require_numba()
         self.robot, self.dtype = load_robot(robot), np.dtype(dtype)
         self.arguments = self.robot, threads, dtype
@@ -88,7 +88,7 @@ class CompiledEngine(Copied):
         self._packed: dict[np.dtype, list[np.ndarray]] = {}
         self.threads = threads or usable_cores()
         self._pool: ThreadPoolExecutor | None = None
-        self._owner = 0  # process of the pool
+        self._owner = 0  # id of the process that made the thread pool
 
     def _numbers(self, dtype: np.dtype) -> list[np.ndarray]:
         """Each learnt residual as one flat array; an empty one if there is none."""
@@ -119,7 +119,7 @@ class CompiledEngine(Copied):
             ConfigError: an array has the wrong shape, a latency is negative, or a flow row lies outside the table.
         """
         check_commands(commands, self.robot.n_joints)
-        self._advance  # noqa: B018  compiled here, never inside a callback
+        self._advance  # noqa: B018  compile here, never inside a callback
         given = (state, commands, params, current, tick)
         return self._advance_traced(*given) if _is_traced(given) else self._advance_numpy(*given)
 
@@ -133,7 +133,7 @@ class CompiledEngine(Copied):
             return _together(net, part)
         batch, ticks, joints = commands.shape
         real, read = self.dtype, _reader(batch, self.dtype)
-        fresh = lambda *args: np.array(read(*args))  # the loop writes into its state
+        fresh = lambda *args: np.array(read(*args))  # a copy, because the loop writes into its state
         q, v = fresh("state.q", state.q, joints + 3), fresh("state.v", state.v, joints + 3)
         attached, buffer = fresh("state.attached", state.attached), fresh("state.buffer", state.buffer, self.buffer, joints)
         memory = fresh("state.memory", state.memory, len(self.added.memory))
@@ -155,7 +155,7 @@ class CompiledEngine(Copied):
         """`Step.applied`, attachment and power of one physics step over a batch, NumPy, float64.
 
         Args:
-            q, v: (B, nv). attached: (B,). target: (B, J) encoder angles that the servos follow now, rad.
+            q, v: (B, nv). attached: (B,). target: (B, J) present servo targets (encoder angles), rad.
             flow: (B, N, 2) water velocity at the links, m/s. ambient: (B, 2) DU/Dt, m/s2. World frame.
             memory: (B, M) of `FishState`; not needed for a robot without effects and residual.
         """
@@ -182,13 +182,13 @@ class CompiledEngine(Copied):
         return out[0].reshape(batch, links, 2), out[1]
 
     def _mixed(self, net) -> np.ndarray | None:
-        """Residual of each fish (B,) if there are several that act; a loop of the machine code has one."""
+        """Index (B,) of each fish's residual if the batch has several, else None; one kernel call handles one residual."""
         if len(self.added.nets) < 2 or (net := np.asarray(net, int)).size == 0 or (net == net[0]).all():
             return None
         return net
 
     def _of(self, params: FishParams, dtype: np.dtype) -> np.ndarray:
-        """The numbers of the residual of these fish, which have the same."""
+        """Weights of the residual that these fish share."""
         net = np.asarray(params.net, int)
         return self._numbers(dtype)[net[0] if len(self.added.nets) > 1 and net.size else 0]
 
@@ -199,7 +199,7 @@ class CompiledEngine(Copied):
         return tuple(read(f"params.{name}", getattr(params, name), size) for name, size in sizes.items())
 
     def _share(self, batch: int, kernel, arguments: tuple) -> None:
-        """Runs `kernel(first, stop, *arguments)` over all fish, whole blocks to each thread."""
+        """Runs `kernel(first, stop, *arguments)` over all fish, split among threads in whole blocks."""
         blocks = -(-batch // numba_build.LANES)
         workers = max(1, min(self.threads, blocks // CHUNK))
         edges = [numba_build.LANES * (blocks * i // workers) for i in range(workers)] + [batch]
@@ -209,13 +209,13 @@ class CompiledEngine(Copied):
             other.result()
 
     def _threads(self) -> ThreadPoolExecutor:
-        """Thread pool of this process; a fork starts its own."""
+        """Thread pool of this process; a forked process makes its own."""
         if self._pool is None or self._owner != os.getpid():
             self._pool, self._owner = ThreadPoolExecutor(max(1, self.threads - 1), "fishmj"), os.getpid()
         return self._pool
 
     def _advance_traced(self, state, commands, params, current, tick):
-        """Calls the host once with one array each way and the flow table: every further array would cost some 20 us."""
+        """Calls the host with packed arrays and the flow table: each array of a callback costs some 20 us."""
         import jax
         import jax.numpy as jnp
 
@@ -236,8 +236,8 @@ class CompiledEngine(Copied):
 
         shape, given = jax.ShapeDtypeStruct((batch, width), real), (_pack(jnp, leaves, batch, real), current.table.astype(real))
         if jax.default_backend() == "cpu":
-            does = f"{sizes} {results} {tree} {given[0].shape} {given[1].shape}"  # the kernel's module is named by its text
-            # and its numbers separately: fitted waters of one shape share the module
+            does = f"{sizes} {results} {tree} {given[0].shape} {given[1].shape}"  # the module's name is the hash of its code
+            # the weights are named separately: fitted waters of one shape share the module
             digest = hashlib.sha256(does.encode() + b"".join(a.tobytes() for a in self._numbers(real))).hexdigest()
             name = f"{self._advance.py_func.__module__}_{digest[:24]}"
             out = host_call(name, host, shape, *given)
@@ -248,7 +248,7 @@ class CompiledEngine(Copied):
 
 
 def _rows_of(tree, here: np.ndarray):
-    """Rows `here` of every array of nested tuples; empty tuples stay."""
+    """Selects rows `here` of every array in nested tuples; empty tuples stay."""
     if not isinstance(tree, tuple):
         return np.asarray(tree)[here]
     rows = [_rows_of(part, here) for part in tree]
@@ -256,7 +256,7 @@ def _rows_of(tree, here: np.ndarray):
 
 
 def _together(net: np.ndarray, of: Callable):
-    """Results that `of` gives for the fish of each residual, in the order of all fish."""
+    """Calls `of` for the fish of each residual, and joins the results in the order of all fish."""
     groups = [np.flatnonzero(net == number) for number in np.unique(net)]
     order = np.argsort(np.concatenate(groups))
 
@@ -282,7 +282,7 @@ def _reader(batch: int, dtype: np.dtype):
 
 
 def _background(read, current: Current, real: np.dtype) -> tuple[tuple, tuple]:
-    """Flow in the form that the loops take: the numbers of each fish, and the table with its cells."""
+    """Flow as arguments of the loops: the numbers of each fish, and the table with its cells."""
     table = np.ascontiguousarray(current.table, real)
     water = (
         read("current.mean", current.mean, 2),
@@ -347,13 +347,13 @@ _CreateError = ctypes.CFUNCTYPE(c_void_p, POINTER(_Error))
 def host_call(name: str, function: Callable, shape, *arguments):
     """Calls the host like `jax.pure_callback(function, shape, *arguments, vmap_method="sequential")`, on the CPU, by name.
 
-    `pure_callback` puts the address of a Python object into the program, so JAX keeps none of its machine code and compiles it
-    again in every process. Here the program holds a name alone, which each process binds to its own function. The frame of a
-    call is that of XLA's FFI (xla/ffi/api/c_api.h in jaxlib/include; its layout holds for major version 0).
+    `pure_callback` puts the address of a Python object into the program, so JAX cannot cache its machine code and compiles it in
+    every process. Here the program holds only a name, which each process binds to its own function. The call frame is that of
+    XLA's FFI (xla/ffi/api/c_api.h in jaxlib/include, major version 0).
 
     Args:
-        name: identifies `function`, shapes included, in any process: the first function of a name is the one that is called.
-        function: takes NumPy arrays that it must not change or keep, returns the result. Runs no JAX code.
+        name: identifies `function` and its shapes in any process; only the first function of a name is called.
+        function: takes NumPy arrays, which it must neither change nor keep, and returns the result. It must not run JAX code.
         shape: jax.ShapeDtypeStruct of the result, float32 or float64, as the arguments.
     """
     import jax
@@ -367,7 +367,7 @@ def host_call(name: str, function: Callable, shape, *arguments):
 
 
 def _answer(frame, function: Callable) -> int | None:
-    """Serves one call; returns None, or the address of an XLA_FFI_Error."""
+    """Handles one call; returns None, or the address of an XLA_FFI_Error."""
     if frame.extension:
         asked = ctypes.cast(frame.extension, POINTER(_Extension)).contents
         if asked.type == METADATA:
@@ -377,7 +377,7 @@ def _answer(frame, function: Callable) -> int | None:
     try:
         arguments = [_array(frame.arguments.items[i].contents) for i in range(frame.arguments.size)]
         _array(frame.results.items[0].contents)[...] = function(*arguments)
-    except BaseException as error:  # noqa: BLE001  nothing may leave through C: it would be lost, the result garbage
+    except BaseException as error:  # noqa: BLE001  an exception must not pass through C, where it would be lost
         api = frame.api.contents
         text = f"{type(error).__name__}: {error}".encode()
         return _CreateError(api.create_error)(_Error(ctypes.sizeof(_Error), None, text, INTERNAL))
@@ -385,9 +385,9 @@ def _answer(frame, function: Callable) -> int | None:
 
 
 def _array(buffer) -> np.ndarray:
-    """View of XLA's memory."""
+    """NumPy view of an XLA buffer."""
     dtype, dims = DTYPES[buffer.dtype], buffer.dims[: buffer.rank]
     size = int(np.prod(dims)) * dtype.itemsize
-    if not size:  # no address then
+    if not size:  # an empty buffer has no address
         return np.empty(dims, dtype)
     return np.frombuffer(memoryview((ctypes.c_char * size).from_address(buffer.data)), dtype).reshape(dims)

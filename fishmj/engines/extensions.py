@@ -1,4 +1,4 @@
-"""Additions to a robot's nominal swimmer, the same in every engine: the effects of its description, a learnt water.
+"""Additions to a robot's nominal model, common to all engines: the effects of its description, and a learnt water.
 
     added = Extensions.of(robot)
     s = planar_chain.step(xp, ch, sw, q, v, attached, target, flow, ambient, added.hooks(xp, parameters, memory))
@@ -39,8 +39,8 @@ class Extensions:
 
     Attributes:
         active: the effects, or None. row: (P,) their calibrated values. memory: (M,) initial memory of a fish.
-        nets: the learnt residuals: none, one, or those of a family of waters, between which `FishParams.net` chooses.
-        robot: the one that they act on.
+        nets: the learnt residuals: none, one, or those of a family of waters, selected by `FishParams.net`.
+        robot: the robot.
     """
 
     active: "effects.EffectStack | None"
@@ -54,7 +54,9 @@ class Extensions:
         """Additions that `robot.effects` and `robot.water["model"]` name. Raises ConfigError, UnknownName, StoreError."""
         active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
         if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
-            warnings.warn(f"{robot.name}: no simulator draws {', '.join(idle)}; generators of data do", stacklevel=2)
+            warnings.warn(
+                f"{robot.name}: no simulator includes the stochastic {', '.join(idle)}; only data generators do", stacklevel=2
+            )
         memory, nets = [] if active is None else list(active.memory), residuals_of(robot)
         if nets:
             from fishmj.water.residual_hooks import at_rest
@@ -69,7 +71,7 @@ class Extensions:
 
     @cached_property
     def chain(self) -> chain.Chain:
-        """Constants of the robot, made when a hook first needs them: they take a millisecond, too long for each drawn fish."""
+        """Constants of the robot, computed once when first needed, because they take a millisecond."""
         return chain.chain_of(self.robot)
 
     def hooks(self, xp, parameters, memory, *, wet: float = 1.0) -> Any:
@@ -91,7 +93,7 @@ class Extensions:
         return self.active.delay(xp, [rows[..., i] for i in range(rows.shape[-1])], clock, t)
 
     def latest(self, clock: str) -> float:
-        """The longest delay that the bounds of the effects allow, s."""
+        """Longest delay within the bounds of the effects, s."""
         slots = [] if self.active is None else self.active.slots
         delaying = [slot.effect for slot in slots if clock in slot.effect.delays]
         return sum(e.parameter(e.delays[clock]).high for e in delaying)
@@ -105,19 +107,21 @@ def stacked(xp, values, like):
 
 
 def bus_rows(robot: Robot, least: int) -> int:
-    """Number of bus commands to remember, `least` or more, so that every command delay within the effects' bounds fits."""
+    """Length of the command buffer, `least` or more, that holds every command delay within the effects' bounds."""
     return least + ceil(Extensions.of(robot).latest("command") / robot.timing.bus_dt - 1e-9) if robot.effects else least
 
 
 def with_effects(robot: Robot, names: Iterable[str]) -> Robot:
-    """Robot with these effects in its list; new ones are added at their null.
+    """Robot with these effects added to its list, at their null values if they are new.
 
-    Raises UnknownName: not in the catalogue; ConfigError: a stochastic effect, for which the physics has no site.
+    Raises UnknownName: not in the catalogue; ConfigError: a stochastic effect, which simulators do not support.
     """
     have, more = {fitted.name for fitted in robot.effects}, []
     for name in dict.fromkeys(names):
         if effects.get(name).stochastic:
-            raise ConfigError(f"effect {name!r} is drawn when data are made; the simulators cannot hold it, choose another")
+            raise ConfigError(
+                f"effect {name!r} is stochastic; only data generators support it, simulators do not; choose another"
+            )
         if name not in have:
             more.append(FittedEffect(name, {}))
     return replace(robot, effects=(*robot.effects, *more)) if more else robot

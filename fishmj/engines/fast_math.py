@@ -1,12 +1,12 @@
-"""Elementary functions as short polynomials that a compiler can put in vector registers.
+"""Elementary functions as short polynomials, which a compiler can vectorise.
 
     sin, cos   x = r + n pi,  |r| <= pi/2;   sin x = (-1)^n r S(r^2),  cos x = (-1)^n C(r^2)
     exp        x = r + n ln 2,  |r| <= ln 2 / 2;   exp x = 2^n E(r)
     atan2      t = min(|x|, |y|) / max(|x|, |y|),  atan t = t A(t^2), then unfolded by octant
-    exp2       x = z + n,  |z| <= 1/2, |x| held at `held`;   2^x = 2^n T(z)
+    exp2       x = z + n,  |z| <= 1/2, |x| clipped to `held`;   2^x = 2^n T(z)
     tanh_two   tanh x, tanh y from a = e^2x, b = e^2y:  (a - 1) / (a + 1), one quotient for both
     tanh_pair  half the sum and difference of tanh(p + q), tanh(p - q):  (a b - 1, a - b) / ((a + 1) (b + 1))
-The arguments of the last two are in units of ln 2 / 2; the weights of a network include the factor.
+The arguments of the last two are in units of ln 2 / 2; the factor is included in the weights of a network.
 
 S, C, E, A, T interpolate the functions at Chebyshev points (near minimax). No table of coefficients is needed: they are computed
 here for each precision. pi and ln 2 are split in parts whose products with n are exact (Cody & Waite 1980), which holds for
@@ -30,7 +30,7 @@ class Precision(NamedTuple):
     bias: int  # of the exponent
     largest: float  # argument of exp
     spare: int  # bits left free in the parts of pi and ln 2
-    held: float  # argument of exp2: of two such powers the product is still finite
+    held: float  # largest argument of exp2, so that the product of two powers is finite
     degree: tuple  # of S, C, E, A, T
 
 
@@ -137,7 +137,7 @@ def source(precision: Precision) -> str:
         T=_horner(np.exp2, -0.5, 0.5, t),
         largest=precision.largest,
         held=precision.held,
-        shift=1.5 * 2.0**precision.mantissa + precision.bias,  # added, it leaves n and the bias in the last bits
+        shift=1.5 * 2.0**precision.mantissa + precision.bias,  # adding it rounds to n, and leaves n + bias in the last bits
         bias=precision.bias,
         mantissa=precision.mantissa,
     )
@@ -165,7 +165,7 @@ def _reduced(parts: list[float]) -> str:
 
 
 def _horner(function, low: float, high: float, degree: int) -> str:
-    """The interpolating polynomial in z on [low, high], nested."""
+    """Text of the interpolating polynomial in z on [low, high], in Horner's form."""
     coefficients = Chebyshev.interpolate(function, degree, domain=[low, high]).convert(kind=Polynomial).coef
     text = f"real({float(coefficients[-1])!r})"
     for value in coefficients[-2::-1]:

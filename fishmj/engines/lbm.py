@@ -1,11 +1,11 @@
-"""The flow solver behind the engines' interface: one tank of water a fish, all tanks side by side.
+"""The flow solver as an engine: one tank of water for each fish, all tanks side by side.
 
-`advance` has the interface that the judge expects, so every controller runs in the solver unchanged. Unlike the other engines a
-tank remembers its water: it is filled at the first call, from the poses, parameters and flows of the trials. A fish that comes
-too close to a wall, or whose water is no longer finite, stays at its last pose; `stopped` has the reason.
+`advance` has the common interface, so every controller runs in the solver unchanged. Unlike other engines, this one has state:
+each tank is filled at the first call, from the pose, parameters and flow of its trial. A fish that comes too close to a wall, or
+whose water is no longer finite, stays at its last pose; `stopped` has the reason.
 
-In a stream every fish is held for `HELD` s before the trial begins, while the water's clock runs up to 0. A fish that is put at
-rest into moving water and released at once is carried along within 0.1 s, because it alone has to stop all the water around it.
+In a stream every fish is held for `HELD` s before its trial, while the clock runs up to 0, so that the flow around it develops.
+If released at once, a fish at rest would be carried along within 0.1 s.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,9 +39,9 @@ class LbmEngine:
     Args:
         robot: description; its effects act as described in `tank_effects`.
         domain: box of water by name; `paper` is 4 x 4 x 1 m at 2 cm, `paper_refined` the same with 1 cm round the fish.
-        slip: ratio at the paper's grid. device: auto, cpu or cuda; `cuda:all` or a list, the tanks in turn on each of them.
+        slip: slip ratio at the paper's grid. device: auto, cpu, cuda; `cuda:all` or a list distributes the tanks in turn.
         finer: number of time steps in one of the domain's. width, passes, sharpness: of the immersed boundary.
-        storage: type of the populations. dx: m, cells in place of the domain's. nu: m2/s, kinematic viscosity.
+        storage: float type of the populations. dx: m, cell size in place of the domain's. nu: m2/s, kinematic viscosity.
 
     Raises ConfigError: an effect that cannot act in a tank.
     """
@@ -63,7 +63,7 @@ class LbmEngine:
         self.tanks: ConcurrentRuns | None = None
 
     def __reduce__(self):
-        raise ConfigError("engine lbm: a tank of water has one swim and cannot be copied; make another of the same flows")
+        raise ConfigError("engine lbm: a tank of water cannot be copied; make another engine of the same flows")
 
     @property
     def stopped(self) -> list[str]:
@@ -76,7 +76,7 @@ class LbmEngine:
         return [] if self.tanks is None else [run.ticks for run in self.tanks.runs]
 
     def advance(self, state: FishState, commands, params: FishParams, current, tick) -> tuple[FishState, Trace]:
-        """Sends the bus commands (B, T, J) [rad] to the B tanks; `current` is not used, the tanks have their own flows."""
+        """Advances the B tanks by bus commands (B, T, J) [rad]; ignores `current`, because tanks have their own flows."""
         return drained(self.advancing(state, commands, params, current, tick))
 
     def advancing(self, state: FishState, commands, params: FishParams, current, tick) -> Steps[tuple[FishState, Trace]]:
@@ -84,7 +84,7 @@ class LbmEngine:
         check_commands(commands, self.robot.n_joints)
         if self.tanks is None:
             if len(state.q) != len(self.flows):
-                raise ConfigError(f"tanks: {len(state.q)} fish for {len(self.flows)} flows; one tank a fish")
+                raise ConfigError(f"tanks: got {len(state.q)} fish for {len(self.flows)} flows; expected one flow for each fish")
             runs = yield from self.filled(range(len(self.flows)), state, params)
             self.tanks = ConcurrentRuns(runs, pipelined=True)
         runs, batch = self.tanks.runs, len(self.flows)
@@ -108,11 +108,11 @@ class LbmEngine:
         return FishState(q, v, np.zeros(batch), np.asarray(state.buffer), memory), trace
 
     def filled(self, rows: Sequence[int], state: FishState, params: FishParams) -> Steps[list[Run]]:
-        """New tanks for some of the fish, which are held side by side until their trials begin."""
+        """Makes tanks for some of the fish, and holds these until their trials begin."""
         q, memory = np.asarray(state.q)[rows], np.asarray(state.memory)
         runs = [self.tank(i, q[k], params, memory[i]) for k, i in enumerate(rows)]
-        tanks = ConcurrentRuns(runs, pipelined=True)  # nobody reads the water of a trial
-        asked = q[:, 3:] - np.asarray(params.zero)[rows]  # encoder angles at which the joints are
+        tanks = ConcurrentRuns(runs, pipelined=True)  # the water of a trial is not recorded
+        asked = q[:, 3:] - np.asarray(params.zero)[rows]  # present encoder angles of the joints
         streams = [flow.speed > 0 or flow.rms > 0 for flow in (run.coupled.fluid.flow for run in tanks.runs)]
         if any(streams):
             for run in tanks.runs:
@@ -127,7 +127,7 @@ class LbmEngine:
         return tanks.runs
 
     def tank(self, i: int, q: np.ndarray, params: FishParams, memory: np.ndarray | None = None) -> Run:
-        """Tank i with its own fish, at rest in undisturbed flow; `memory` (M,) of its effects, the initial one by default."""
+        """Makes tank i with its fish at rest in undisturbed flow; memory: (M,) of its effects, by default the initial one."""
         own = {name: np.asarray(getattr(params, name))[i] for name in ("mass", "kp", "kv", "kb", "zero")}
         flow, added = self.flows[i], None
         if self.active is not None:
@@ -151,8 +151,8 @@ class LbmEngine:
         steps, _ = ticks_per(self.robot)
         if round(self.robot.timing.bus_dt / coupled.body.dt) < steps:
             raise ConfigError(
-                f"tanks: the water steps {coupled.body.dt} s, longer than the robot's {self.robot.timing.physics_dt} s;"
-                " take smaller cells, --dx, whose step is in proportion"
+                f"tanks: the time step of the water, {coupled.body.dt} s, is longer than the robot's physics_dt,"
+                f" {self.robot.timing.physics_dt} s; take smaller cells, --dx, since the step is proportional to them"
             )
         latency = float(np.asarray(params.delay)[i]) * self.robot.timing.physics_dt
         run: Callable[..., Run] = partial(EffectRun, acting) if acting else Run

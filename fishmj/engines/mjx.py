@@ -1,4 +1,4 @@
-"""MuJoCo in JAX: batched, jit-able, for GPUs. The same division of work as in `batch`: MuJoCo moves the fish.
+"""MuJoCo in JAX: batched, jit-able, for GPUs. As in `batch`, MuJoCo moves the fish.
 
 Each physics step the closed form solves (M + M_a + h D) a = f and hands MJX the water's share Q_water - M_a a as
 `qfrc_applied`; `mjx.step` applies the servos, solves its own M + h D (Euler, implicit joint damping) and integrates.
@@ -81,7 +81,7 @@ class MjxEngine(Copied):
         """Model fields that differ from fish to fish, batch axis first."""
         m = self.model
         count = params.mass.shape[0]
-        mass = jnp.concatenate([jnp.ones((count, 1), params.mass.dtype), params.mass], 1)  # the world comes first
+        mass = jnp.concatenate([jnp.ones((count, 1), params.mass.dtype), params.mass], 1)  # body 0 is the world
         root = jnp.broadcast_to(m.dof_damping[:3], (count, 3))
         gain = jnp.broadcast_to(m.actuator_gainprm, (count, *m.actuator_gainprm.shape)).at[:, :, 0].set(params.kp)
         bias = jnp.broadcast_to(m.actuator_biasprm, (count, *m.actuator_biasprm.shape))

@@ -1,9 +1,10 @@
-"""Effects of the user's own: loaded by reference, checked against the rules of the catalogue, and added to it.
+"""The user's own effects: loaded by reference, checked against the rules of the catalogue, and added to it.
 
-    effect = join(["./my_effects.py:WEED"])[0]          from now on a name like any other, in this process
+    effect = join(["./my_effects.py:WEED"])[0]          its name is valid from now on, in this process
 
 The rules (`check`): at its null an effect changes no bit of a step, in water and in air, nor of commands, delays and readings.
-At typical sizes and at its bounds everything stays finite, and something changes. JAX and the code generator can trace it.
+At typical sizes and at its bounds all results stay finite. At its larger typical size something changes. JAX and the code
+generator can trace it.
 """
 
 import math
@@ -29,13 +30,13 @@ CALLS = {
     **{site: (f"{site}(xp, p, {site}, memory, h)", 5) for site in ("servo", "gear", "body", "water", "command")},
     **{site: (f"{site}(xp, p, {site})", 3) for site in ("fish", "flow", "measure")},
 }
-FISH, STEPS = 50, 5  # random states, and steps one after the other
+FISH, STEPS = 50, 5  # random states, and consecutive steps
 FIELDS = ("q", "v", "attached", "power")
 
 
 def option(parser) -> None:
     """Adds `--effects` to a command line; pass its value to `join`."""
-    effects = "an effect of your own to put into the catalogue, module:EFFECT or file.py:EFFECT; again for more (default none)"
+    effects = "your own effect, added to the catalogue: module:EFFECT or file.py:EFFECT; repeat for more (default: none)"
     parser.add_argument("--effects", action="append", default=[], metavar="MODULE:EFFECT", help=effects)
 
 
@@ -76,11 +77,9 @@ def _declared(effect: Effect, what: str) -> None:
     if not is_name(effect.name):
         raise OwnCodeError(f"{what}: name {effect.name!r}; expected letters, digits, '_', '.' or '-'")
     if effect.stochastic:
-        raise OwnCodeError(
-            f"{what}: it is stochastic; no simulator and no search holds such an effect, only those of fishmj are drawn"
-        )
+        raise OwnCodeError(f"{what}: it is stochastic; simulators and the search support only deterministic effects of your own")
     if not effect.parameters or effect.parameters[0].shape:
-        raise OwnCodeError(f"{what}: its first parameter must be the one that makes it, not a shape")
+        raise OwnCodeError(f"{what}: its first parameter must set its size, not its shape")
     for p in effect.parameters:
         numbers = (p.null, p.low, p.high, *p.typical)
         if not (p.name.isidentifier() and is_name(p.name) and all(math.isfinite(x) for x in numbers)):
@@ -93,7 +92,7 @@ def _declared(effect: Effect, what: str) -> None:
                 f" and not hold the null {p.null:g}"
             )
     if unknown := {c.other for c in effect.confusions} - set(effects.catalogue()):
-        raise OwnCodeError(f"{what}: confusions with {', '.join(sorted(unknown))}, which the catalogue does not have")
+        raise OwnCodeError(f"{what}: confusions with {', '.join(sorted(unknown))}, which are not in the catalogue")
 
 
 @cache
@@ -125,7 +124,7 @@ def _changes(one, other) -> dict[str, float]:
 
 
 def _identity(active: EffectStack, what: str) -> None:
-    """Checks that at the null no bit changes, for any value of its shapes' null."""
+    """Checks that no bit changes at the null, for every null of its shape parameters."""
     ch, sw, first = _fish()
     for wet in (1.0, 0.0):
         given, memory = first, active.memory
@@ -156,19 +155,19 @@ def _finite(active: EffectStack, what: str) -> None:
     """Checks that at typical sizes and at both bounds a step stays finite, and that the larger typical size changes something."""
     _, _, given = _fish()
     (effect,), memory = active.effects, list(active.memory)
-    memory[:2] = 3.0, 600.0  # A that the servos draw; s, ten minutes into a session
+    memory[:2] = 3.0, 600.0  # A, current of the servos; s, ten minutes into a session
     for where, size in _sizes(effect.parameters):
         with np.errstate(all="ignore"):
             found = _step(active, what, given, size, memory)
         if not all(np.isfinite(value).all() for value in (*found.q, *found.v, found.attached, found.power, *found.memory)):
             values = ", ".join(f"{p.name} = {x:g}" for p, x in zip(effect.parameters, size, strict=True))
-            raise OwnCodeError(f"{what}: at {where} ({values}) a step is not finite; mend the formula or narrow the bounds")
+            raise OwnCodeError(f"{what}: at {where} ({values}) a step is not finite; correct the formula or narrow the bounds")
     if set(effect.sites) - {"measure", "command"} and not _shows(active, what, given, _sizes(effect.parameters)[1][1], memory):
-        raise OwnCodeError(f"{what}: at its larger typical size it changes nothing; is its site called with the parameter?")
+        raise OwnCodeError(f"{what}: at its larger typical size it changes nothing; does the function use the parameter?")
 
 
 def _shows(active: EffectStack, what: str, given, size, memory) -> bool:
-    """Tells whether the effect changes anything within STEPS steps, the fish reversed after each: it may act on a brake alone."""
+    """Returns True if the effect changes a result within STEPS steps; velocities reverse after each, for effects on braking."""
     ch, sw, first = _fish()
     for _ in range(STEPS):
         plain, strong = planar_chain.step(np, ch, sw, *given), _step(active, what, given, size, memory)
@@ -179,7 +178,7 @@ def _shows(active: EffectStack, what: str, given, size, memory) -> bool:
 
 
 def _sizes(parameters: tuple[Parameter, ...]) -> list[tuple[str, list[float]]]:
-    """Parameter rows at which an effect is tried."""
+    """Parameter rows at which an effect is tested."""
     row = lambda pick: [float(pick(p)) for p in parameters]
     typical = [
         ("its smaller typical size", row(lambda p: p.typical[0])),
@@ -206,4 +205,4 @@ def _traced(active: EffectStack, what: str) -> None:
         s = planar_chain.step(jnp, ch, sw, q, v, attached, target, [(0.1, 0.0)] * ch.n, (0.0, 0.0), hooks)
         return [*s.q, *s.v, s.attached, s.power, *s.memory]
 
-    plugins.call(f"{what}: compiled engines cannot follow it; use xp, arithmetic and xp.where", codegen.trace, take, names)
+    plugins.call(f"{what}: compiled engines cannot trace it; use xp, arithmetic and xp.where", codegen.trace, take, names)

@@ -1,7 +1,7 @@
 """The closed-form planar fish in JAX: batched, jit-able, on CPU and GPU.
 
-One bus tick: remember the command, look up the flow at every link, then five physics steps of `planar_chain.step`, each with the
-newest command that has arrived.
+A bus tick stores the command in the buffer, samples the flow at every link, and does five physics steps (`planar_chain.step`),
+each with the newest command that has arrived.
 """
 
 from functools import partial
@@ -22,7 +22,7 @@ from fishmj.water.dynamics.hooks import centres
 from fishmj.water.flow import Current, sample
 from fishmj.water.residual_step import takes_kernel
 
-kernel = True  # False: in a learnt water on an NVIDIA GPU the learnt force alone is a kernel, and not the physics of a tick
+kernel = True  # one kernel for the physics of a tick, in a learnt water on an NVIDIA GPU; False: for the learnt force only
 
 
 def link_centres(xp, ch: planar_chain.Chain, q):
@@ -69,7 +69,7 @@ class PlanarEngine(Copied):
         return state, Trace(*(jnp.swapaxes(a, 0, 1) for a in trace))
 
     def _physics_of(self, state: FishState, *given):
-        """Computes `physics`; for many fish with a learnt force on an NVIDIA GPU, by the equivalent kernel."""
+        """Computes `physics`, for many fish with a learnt force on an NVIDIA GPU by the equivalent kernel."""
         if not kernel or self.added.learnt is None or not takes_kernel(state.attached):
             return self.physics
         if np.dtype(float) in {a.dtype for a in jax.tree.leaves((state, *given))}:
@@ -88,7 +88,7 @@ class PlanarEngine(Copied):
             (state, sum of the steps' power (B,) W).
         """
         step = partial(self.step, self.added, swimmer(params), columns(params.effects), pairs(flow), columns(ambient))
-        # in columns, which a physics step reads and writes whole; converted to rows once a tick
+        # steps use columns, one array for each component; they are converted to rows once a tick
         carry, _ = lax.scan(lambda carry, target: (step(carry, columns(target)), None), begun(state), targets, unroll=self.unroll)
         q, v, attached, memory, power = carry
         return FishState(jnp.stack(q, -1), jnp.stack(v, -1), attached, (), stacked(jnp, memory, state.memory)), power

@@ -1,4 +1,4 @@
-"""State of a batch of fish as columns, one array a component: what the physics steps of `planar` carry."""
+"""State of a batch of fish as columns, one array for each component, for the physics steps of `planar`."""
 
 import jax.numpy as jnp
 

@@ -1,14 +1,14 @@
-"""The physics steps of a bus tick in one kernel of an NVIDIA GPU, by Pallas and Triton.
+"""One GPU kernel for all physics steps of a bus tick, by Pallas and Triton, for NVIDIA GPUs.
 
     state, power = tick(engine, state, params, targets, flow, ambient)       as `planar.PlanarEngine.physics`, float32
 
-`PlanarEngine.step` is traced unchanged on a block of fish: the physics is not written here. Effects take part: Triton knows all
-operations that `codegen` knows, and an effect has no others. Parameters and state of a fish stay in registers; the weights of the
-learnt forces come from cache. The kernel computes the forward pass only; gradients use the same steps in XLA.
+The kernel traces `PlanarEngine.step` on a block of fish, so the physics is not repeated here. Effects are included: Triton
+supports all operations that `codegen` supports, and an effect uses no others. Parameters and state of a fish stay in registers;
+the weights of the learnt forces come from cache. The kernel computes the forward pass only; gradients use the same steps in XLA.
 
-Where waters have residuals of their own, a block of fish has one program for each residual. A program ends at once if no fish of
-its block has that residual, and writes those fish that have it. The number of the residual is a coordinate of the program, so
-that every address of a weight is known to be the same for all threads.
+In a family of waters with several residuals, each block of fish has one program for each residual. A program ends at once if no
+fish of its block has its residual, and otherwise writes only the fish that have it. The residual's index is a coordinate of the
+program, so that all threads load the same weights.
 """
 
 from dataclasses import replace
@@ -26,8 +26,8 @@ from fishmj.engines.planar_columns import begun, columns, pairs
 from fishmj.water import residual_kernel, residual_network
 from fishmj.water.residual_hooks import Residual
 
-BLOCK, WARPS = 128, 4  # fish a program, a power of two, and warps of 32 threads that share them
-UNITS = 4  # hidden units that a round of the loop holds
+BLOCK, WARPS = 128, 4  # fish of a program, a power of two, and its warps of 32 threads
+UNITS = 4  # hidden units in one iteration of the loop
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
@@ -40,9 +40,9 @@ tick.defvjp(lambda engine, *given: jax.vjp(engine.physics, *given), lambda engin
 
 
 def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = False):
-    """Computes `engine.physics` by the kernel; interpret: in plain JAX, on any machine."""
+    """Computes `engine.physics` by the kernel; interpret: emulate it in plain JAX, on any machine."""
     count, nets = len(state.attached), engine.added.nets
-    # two tables: parameters do not change from tick to tick, so their table can be made once
+    # two tables: parameters are constant, so their table can be made once for all ticks
     given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=())
     tables, places = zip(*map(_side_by_side, given), strict=True)
     each = [residual_kernel.tables_of(residual_network.halves(np, one.net), UNITS) for one in nets]
@@ -53,7 +53,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     def kernel(net, *refs):
         if len(nets) == 1:
             swim(None, 0, *refs)
-        else:  # nothing else is read before: most programs end here
+        else:  # check this first, because most programs end here
             own = pl.program_id(1)
             mine = net[...] == own
             pl.when(jnp.max(mine.astype(jnp.int32)) > 0)(lambda: swim(mine, own, *refs))
@@ -78,10 +78,10 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
             out, _joined(jax.tree.leaves(carry)), mask=None if mine is None else jnp.broadcast_to(mine[:, None], out.shape)
         )
 
-    # copies of the last fish fill up the last block: their numbers are valid in every division
+    # copies of the last fish pad the last block, so that no division fails
     rows = [jnp.pad(table, ((0, -count % BLOCK), (0, 0)), mode="edge") for table in tables]
     net = jnp.pad(jnp.asarray(params.net, jnp.int32), (0, -count % BLOCK), mode="edge")
-    ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # of what comes out, power the last
+    ends = np.cumsum([state.q.shape[1], state.v.shape[1], 1, state.memory.shape[1]])  # ends of the outputs' columns, power last
     block = lambda width: pl.BlockSpec((BLOCK, width), lambda i, own: (i, 0))
     of_residual = lambda a: pl.BlockSpec((len(a) // len(nets), a.shape[1]), lambda i, own: (own, 0))
     out = pl.pallas_call(
@@ -103,23 +103,23 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
 
 
 def _reach(nets) -> list:
-    """Ranges of residuals as nested lists of numbers: a kernel takes no arrays but its arguments."""
+    """Ranges of the residuals as nested lists of numbers, because a kernel cannot capture arrays."""
     return [jax.tree.map(lambda a: np.asarray(a).tolist(), one.reach) for one in nets]
 
 
 def _at(reach: list, own):
-    """The range of residual `own`, a number that the kernel finds as it runs."""
-    one_hot = [(own == k).astype(jnp.float32) for k in range(len(reach))]  # Triton takes no choice between two numbers
+    """Range of residual `own`, an index known only when the kernel runs."""
+    one_hot = [(own == k).astype(jnp.float32) for k in range(len(reach))]  # Triton cannot select between two scalars
     return jax.tree.map(lambda *each: sum(there * value for there, value in zip(one_hot, each, strict=True)), *reach)
 
 
 def _power(count: int) -> int:
-    """Next power of two: Triton supports no other shapes, and is slow to compile many loads and stores."""
+    """Next power of two, the only shapes that Triton supports; one table compiles faster than many loads and stores."""
     return 1 << (int(count) - 1).bit_length()
 
 
 def _side_by_side(tree):
-    """Arrays (B, ..) as columns of one, filled up to a power of two; and the indices of their columns, (1, ..) each."""
+    """Joins arrays (B, ..) to one array, padded to a power of two columns; also returns the column indices (1, ..) of each."""
     leaves, shape = jax.tree.flatten(tree)
     ends = np.cumsum([a.size // len(a) for a in leaves])
     numbers = [np.arange(end - a.size // len(a), end).reshape(1, *a.shape[1:]) for a, end in zip(leaves, ends, strict=True)]
@@ -128,7 +128,7 @@ def _side_by_side(tree):
 
 
 class _Held:
-    """An array whose columns are values in a kernel: a[:, i] or a[:, i, j], one value a fish."""
+    """Array-like view of values in a kernel: a[:, i] or a[:, i, j] is one value for each fish."""
 
     def __init__(self, numbers, values: list):
         self.numbers, self.values, self.shape = numbers, values, numbers.shape
@@ -144,7 +144,7 @@ def _held(rows, numbers):
 
 
 def _joined(values: list):
-    """Joins values, one for each fish, to columns of a block of rows, filled up to a power of two: Triton joins pairs."""
+    """Joins values to a block of columns, padded to a power of two, because Triton joins pairs only."""
     values = [*values, *[jnp.zeros_like(values[0])] * (_power(len(values)) - len(values))]
     while half := len(values) // 2:
         values = [jnp.reshape(jnp.stack(pair, -1), (len(pair[0]), -1)) for pair in zip(values[:half], values[half:], strict=True)]

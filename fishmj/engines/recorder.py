@@ -14,7 +14,7 @@ from fishmj.log import SCHEMA, Trial, numbered, write_trial
 from fishmj.mjcf.identity import identity
 from fishmj.mjcf.model import reference_pose
 
-SANE_SPEED, SANE_SPIN = 20.0, 30.0  # m/s and rad/s: beyond them a log is refused, so rescued rows stop there
+SANE_SPEED, SANE_SPIN = 20.0, 30.0  # m/s, rad/s; logs with larger values are refused, so rescued rows end before them
 
 
 class Recorder:
@@ -25,7 +25,7 @@ class Recorder:
         self.rows: list[tuple] = []
 
     def add(self, command, flow, power: float) -> None:
-        """Adds a tick: command (J,) sent at its start, flow (N, 2) met at its start, mean servo power over it [W]."""
+        """Adds a tick: command (J,) and flow (N, 2) at its start, mean servo power over it [W]."""
         sim = self.sim
         joints = sim.data.qpos[-sim.model.nu :] - sim.swimmer.zero
         start = (sim.tick - 1) * sim.robot.timing.bus_dt
@@ -53,7 +53,7 @@ class Recorder:
 def reported(added: Extensions, t, pose, joint, rate, power):
     """Sensor readings at the times t (T,): pose (T, 6), joint (T, J), rate (T, J), power (T,), from the true values.
 
-    Delays read the cubic through the samples and their rates (power: linearly), held before the first sample.
+    Delayed readings come from Hermite cubics through samples and rates (power: linear), constant before the first sample.
     """
     if added.active is None:
         return pose, joint, rate, power
@@ -114,12 +114,12 @@ def meta_of(sim) -> dict:
 
 
 def rescue(sim, error: SimDiverged) -> SimDiverged:
-    """The same error, with the last states and the folder that holds them as a trial."""
+    """Adds the last states to the error, and the folder of the trial in which they are saved."""
     states = [(t, q, v, c) for t, q, v, c in sim.recent if np.isfinite(q).all() and np.isfinite(v).all()]
     sane = [s for s in states if np.abs(s[2][:2]).max() < SANE_SPEED and np.abs(s[2][2:]).max() < SANE_SPIN]
     where = ""
     if sane:
-        # mkdtemp: a new folder that no other user can read or could have placed there
+        # mkdtemp: a new folder that other users can neither read nor have prepared
         folder = sim.rescue_folder or Path(tempfile.mkdtemp(prefix="fishmj-diverged-")) / "trial"
         t, q, v, ctrl = (np.array(column) for column in zip(*sane, strict=True))
         n = sim.model.nu

@@ -1,15 +1,15 @@
-"""The learnt residual in the compiled engine: its network as vector code, its weights as numbers given at the call.
+"""The learnt residual in the compiled engine: its network as vector code, with the weights as an argument.
 
-One physics step with a residual is three functions of the workspace, in this order:
+A physics step with a residual calls three functions on the workspace, in this order:
     features   generated from `residual_network.motion`: inputs of the network
-    network    written here: force coefficients, the members' spread, the wake a step later
+    network    written here: force coefficients, spread of the ensemble's members, next wake states
     physics    generated from `planar_chain.step` with `PrecomputedResidual` hooks, the rest of `residual_hooks.LearnedResidual`
 
-The text depends on shapes alone (links, members, hidden units), so all fitted waters of a robot share one machine code; weights,
-range and lengths come as one flat array. With the input split into e, unchanged by a mirror, and o, whose sign it changes,
+The text depends only on shapes (links, members, hidden units), so all fitted waters of a robot share one machine code; weights,
+range and lengths come as one flat array. With the input split into e, even under the mirror symmetry, and o, odd under it,
     p = a + A_e e,   q = A_o o,   (tanh(p + q) +- tanh(p - q)) / 2 = (sinh 2p, sinh 2q) / (cosh 2p + cosh 2q)
-both branches of the mirror cost as much as one: half the multiply-adds, and the symmetry holds exactly. Weights are stored times
-2 / ln 2, so that each e^2x is a power of two. A block of units shares every input that is loaded.
+both branches of the mirror need half the multiply-adds, and the symmetry holds exactly. Weights are stored times 2 / ln 2, so
+that each e^2x is a power of two. A block of units shares every loaded input.
 """
 
 import re
@@ -22,8 +22,8 @@ from fishmj.water import residual_hooks, residual_network
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.residual_network import BOUND, WAKES
 
-BLOCK = 4  # units that share a load of the inputs
-NUMBER = re.compile(r"\bc\[([^]]*)\]")  # one of the array, in the text of a loop
+BLOCK = 4  # hidden units that share each load of an input
+NUMBER = re.compile(r"\bc\[([^]]*)\]")  # an item of the weights `c` in the text of a loop
 POWER = 2 / log(2)  # tanh x = (2^(POWER x) - 1) / (2^(POWER x) + 1)
 
 
@@ -43,7 +43,7 @@ class Shape(NamedTuple):
 
     @property
     def inputs(self) -> tuple[list[int], list[int]]:
-        """Indices of the inputs [x, z] that a mirror does not change, and of those whose sign it changes."""
+        """Indices of the even and of the odd inputs [x, z] under the mirror symmetry."""
         even, features = self.links + 1, 3 * self.links + 1
         wakes = range(features, features + WAKES)
         return [*range(even), *wakes[: WAKES // 2]], [*range(even, features), *wakes[WAKES // 2 :]]
@@ -55,7 +55,7 @@ class Shape(NamedTuple):
 
     @property
     def blocks(self) -> int:
-        """Number of blocks of hidden units of a member; units without effect may fill up the last one."""
+        """Number of blocks of a member's hidden units; units with zero weights pad the last one."""
         return -(-self.hidden // BLOCK)
 
     def rows(self) -> dict:
@@ -78,7 +78,7 @@ class Shape(NamedTuple):
         forces = 3 * self.links
         even, odd = (len(pairs[0]) for pairs in residual_network.products(self.links))
         return {
-            "units": (self.members * self.blocks + WAKES // BLOCK) * self.block,  # the wake's last
+            "units": (self.members * self.blocks + WAKES // BLOCK) * self.block,  # those of the wake last
             "outer": self.members * self.blocks * BLOCK * forces,
             "bias": self.members * forces,
             "products": self.links * even + 2 * self.links * odd,
@@ -92,25 +92,25 @@ class Shape(NamedTuple):
         return dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
 
     def range_places(self) -> dict[str, int]:
-        """Names of the numbers of a range, and their indices in the flat array."""
+        """{name: index in the flat array} of the numbers of a range."""
         first = self.starts()["range"]
         return {f"range{i}": first + i for i in range(self.sizes()["range"])}
 
 
 def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarray:
-    """All numbers that the text does not contain, in the order of `Shape.sizes`; `dt` of a physics step, s."""
+    """Flat array of weights and range, in the order of `Shape.sizes`; dt: physics step, s."""
     shape, net = Shape.of(learnt), residual_network.Net(*(np.asarray(a, float) for a in learnt.net))
     columns = [number for half in shape.inputs for number in half]
 
     def units(weights, bias):
-        """Blocks of units: their biases, then their weights of each input."""
+        """Weights in blocks of units: biases, then the weights of each input."""
         more = -len(bias) % BLOCK
         rows = np.concatenate([np.column_stack([bias, weights[:, columns]]), np.zeros((more, 1 + len(columns)))])
         return rows.reshape(-1, BLOCK, 1 + len(columns)).swapaxes(1, 2)
 
     layers = [*zip(net.inner, net.inner_bias, strict=True), (net.wake, net.wake_bias)]
     idle = ((0, 0), (0, 0), (0, BLOCK * shape.blocks - shape.hidden))
-    even = np.arange(3 * shape.links) < shape.links  # a mirror takes the bias from the others
+    even = np.arange(3 * shape.links) < shape.links  # odd outputs have no bias
     parts = [np.ravel(units(w, b)) * POWER for w, b in layers]
     outer = (np.pad(net.outer, idle).swapaxes(1, 2), net.outer_bias * even, net.even.T, net.odd.T)
     parts += [np.ravel(w) * (POWER / BOUND) for w in outer] + [-dt / np.exp(net.reach) / log(2)]
@@ -120,7 +120,7 @@ def flat_weights(learnt: residual_hooks.Residual, dt: float, dtype) -> np.ndarra
 
 
 class PrecomputedResidual(residual_hooks.LearnedResidual):
-    """Residual with the output of its network given: mean coefficients (3 N), spread () and the next wake (WAKES)."""
+    """Residual whose network output is an input: mean coefficients (3 N), spread () and the next wake (WAKES)."""
 
     def __init__(self, xp, ch, learnt, memory, inner, coefficients, spread, wake):
         super().__init__(xp, ch, learnt, memory, inner)
@@ -128,24 +128,24 @@ class PrecomputedResidual(residual_hooks.LearnedResidual):
         self.answer = [coefficients[i * n : (i + 1) * n] for i in range(3)], spread, wake
 
     def network(self, learnt, m, z, dt):
-        """Given output of the network."""
+        """Returns the given output of the network."""
         return self.answer
 
 
 def hooks_from_network_output(xp, ch: planar_chain.Chain, shape: Shape, inner: Any, a: dict) -> PrecomputedResidual:
-    """Hooks of the generated step; `a` holds its arguments by name of `Shape.rows`, and the flat `range`."""
+    """Hooks of the generated step; a: its arguments by the names of `Shape.rows`, and the flat `range`."""
     reach = None
     if shape.ranged:
         n, seen, given = shape.links, residual_hooks.SEEN, iter(a["range"])
         take = lambda *counts: [take(*counts[1:]) for _ in range(counts[0])] if counts else next(given)
         reach = residual_hooks.MotionRange(take(n, seen), take(n, seen, seen), take(n), take(n), take())
-    unused: Any = None  # the weights are where the network is
+    unused: Any = None  # the step does not need the weights
     learnt = residual_hooks.Residual(unused, reach)
     return PrecomputedResidual(xp, ch, learnt, a["memory"], inner, a["coefficient"], a["spread"], a["next"])
 
 
 def features(xp, ch: planar_chain.Chain, sw, inner: Any, q, v, flow) -> list:
-    """Inputs of the network in one step, `feature` and `pace`; the sites before the water act as in `planar_chain.step`."""
+    """Inputs of the network in a step, `feature` and `pace`; hooks before the water act as in `planar_chain.step`."""
     panels = residual_network.panels(ch)
     if inner is not None:
         ch, sw = inner.fish(ch, sw)
@@ -176,14 +176,14 @@ def network(shape: Shape, rows: dict[str, int], wake: int) -> str:
     pairs += [f"{at('product', k)} = g{k}" for k in each]
     pairs += [f"{at('coefficient', k)} = real(0.0)" for k in each] + [f"{one('spread')} = real(0.0)"]
 
-    # all stores at the end: the compiler reads a number where it is used only if no store stands between
+    # all stores at the end, because the compiler cannot move loads across stores
     gathered = [f"u{k} = {at('unit', k)}" for k in range(2 * BLOCK)]
     for k in each:
         parts = (f"c[{forces * u + k}] * u{u + BLOCK * (k >= n)}" for u in range(BLOCK))
         gathered.append(f"g{k} = {at('sum', k)} + {' + '.join(parts)}")
     gathered += [f"{at('sum', k)} = g{k}" for k in each]
 
-    # Welford's mean and variance over the members: no member needs to be kept
+    # Welford's mean and variance over the members, which needs no storage of members
     joined = [f"g{k} = {at('sum', k)}" for k in each] + [f"spread = {one('spread')}"]
     joined += [f"g{k}, g{(k + 1) % forces} = tanh_two(g{k}, g{(k + 1) % forces})" for k in range(0, forces - 1, 2)]
     joined += [f"g{forces - 1}, _ = tanh_two(g{forces - 1}, real(0.0))"] * (forces % 2)
@@ -231,9 +231,9 @@ def network(w, c):
 
 
 def _loop(lines: list[str], row: bool) -> str:
-    """Loop of `lines` over the lanes, with their numbers loaded before: there the compiler sees no store that may change one.
+    """Loop of `lines` over the lanes; weights are loaded before it, where the compiler sees no store that may change them.
 
-    row: the numbers are those of one row of a table `c`.
+    row: the weights are one row of a table `c`.
     """
     names: dict[str, str] = {}
     name = lambda found: names.setdefault(f"c[row, {found[1]}]" if row else found[0], f"c{len(names)}")

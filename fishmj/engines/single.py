@@ -1,4 +1,4 @@
-"""One fish in MuJoCo and its water, behind one interface.
+"""Waters of one fish in MuJoCo, with one interface.
 
 StripWater    strips and learnt residual through `mjcb_passive` (water.injection): MuJoCo itself solves with M + M_a
 WrenchWater   the same as a wrench on every link through `xfrc_applied` (water.link_wrench), without a callback
@@ -7,7 +7,7 @@ HookedWater   the closed form with all additions, effects included, through `qfr
 CompiledWater the same by compiled code (extra `fast`), as in the engine `batch`
 MujocoWater   MuJoCo's own fluid, or air
 
-All but the last hold `swimmer`, whose `water` may be replaced between steps, and the water's memory: `attached`, `memory`.
+All except the last have `swimmer`, whose `water` may be replaced between steps, and the water's state `attached` and `memory`.
 """
 
 from collections.abc import Callable
@@ -28,8 +28,8 @@ from fishmj.water.link_wrench import LinkWrench
 from fishmj.water.planar_water import PlanarWater
 from fishmj.water.spatial_water import FreeWater
 
-INJECTIONS = ("callback", "xfrc", "qfrc")  # ways of a structured or fitted water into MuJoCo
-DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients of no water at all, besides k and cn
+INJECTIONS = ("callback", "xfrc", "qfrc")  # methods that couple a structured or fitted water to MuJoCo
+DRY = dict(cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0)  # coefficients in air, besides k and cn
 
 
 class Water(Protocol):
@@ -49,7 +49,7 @@ def _of_strips(name: str) -> Any:
 
 
 class InjectedWater:
-    """Strips, and a learnt residual if there is one, put into MuJoCo.
+    """Strips, and a learnt residual if there is one, coupled to MuJoCo.
 
     Args:
         strips: the water itself. advance: function that does one physics step of MuJoCo's data in it.
@@ -75,7 +75,7 @@ class InjectedWater:
 
 
 class StripWater(InjectedWater):
-    """Strips through the passive callback, which is installed during each step only."""
+    """Strips through the passive callback, which is installed only during a step."""
 
     def __init__(self, model: mujoco.MjModel, strips: PlanarWater):
         handle = Handle(model, strips)
@@ -95,7 +95,7 @@ class WrenchWater(InjectedWater):
 
 
 class MujocoWater:
-    """MuJoCo alone: air, or its own fluid, which has one uniform wind."""
+    """MuJoCo without our water: air, or MuJoCo's own fluid with one uniform wind."""
 
     def __init__(self, model: mujoco.MjModel, swimmer: planar_chain.Swimmer, wind: bool):
         self.model, self.swimmer, self.wind, self.power = model, swimmer, wind, 0.0
@@ -113,7 +113,7 @@ class MujocoWater:
 
 
 class SingleFish:
-    """One fish in the closed form, in NumPy, with its memory from step to step.
+    """One fish in the closed form, in NumPy, with its memory.
 
     Args:
         added: effects and learnt residual. wet: 0 on a bench in air.
@@ -171,7 +171,7 @@ class HookedWater(SingleFish):
         return s.applied, float(s.power)
 
     def __deepcopy__(self, memo: dict) -> "HookedWater":
-        """Twin that swims on by itself; all arrays are replaced in a step, never written to."""
+        """Independent copy; a step replaces arrays and never writes into them."""
         return copy(self)
 
 
@@ -184,7 +184,7 @@ class CompiledWater(HookedWater):
         super().__init__(robot, added, swimmer)
         self.engine = CompiledEngine(robot, threads=1)
         self.set_fish(nominal_params(robot, 1))
-        self.forces(np.zeros(self.chain.n + 2), np.zeros(self.chain.n + 2), np.zeros(self.chain.n - 1))  # compiles now
+        self.forces(np.zeros(self.chain.n + 2), np.zeros(self.chain.n + 2), np.zeros(self.chain.n - 1))  # compile now
         self.start()
 
     def set_fish(self, params: FishParams) -> None:
@@ -217,7 +217,7 @@ def water_of(
 
     Raises:
         UnknownName: no such injection.
-        ConfigError: an injection that does not fit; effects with a free root or in MuJoCo's own fluid.
+        ConfigError: an injection that root or water do not support; effects with a free root or in MuJoCo's own fluid.
     """
     wet = name not in ("none", "ellipsoid")
     if injection is not None and injection not in INJECTIONS:

@@ -1,13 +1,13 @@
-"""Effects of a description in the flow solver's tanks: those that can act there (`tank_run` applies them).
+"""Support of a description's effects in the flow solver's tanks; `tank_run` applies the supported ones.
 
     servo, gear, command    drive, torque and damping of each joint, in place of MuJoCo's servo
     fish                    masses of the links; gains and limits of the servos
     body                    forces and masses that are not the water's, such as a tether
     flow                    a velocity that is uniform and steady is added to the tank's stream
-    delays, measure         by the caller that sends commands and reads sensors, as for every engine
+    delays, measure         applied by the caller that sends commands and reads sensors, as for every engine
 
-The solver is the water. An effect on strips, on added mass or on forces of the water cannot act in it. `in_tank` finds this by
-calling the effect's own functions at their sites, for the catalogue and for the user's own effects.
+The solver computes the water's forces, so effects on strips, added mass or water forces are not supported. `in_tank` finds out by
+calling the effect's functions at their sites, also for the user's own effects.
 """
 
 from collections.abc import Callable, Iterable
@@ -24,23 +24,23 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.dynamics import planar_chain
 
-WATER = "the solver is the water"
+WATER = "which the solver replaces"
 SOLID = {"chain": ("com", "inertia", "mass", "torque", "motor"), "swimmer": ("mass", "kp", "kv", "kb", "zero")}  # what may change
 FORCES = ("fx", "fy", "n", "mx", "my", "mn")
-OF_THE_WATER = ("u", "w", "tail", "sway_mass", "drag", "wet", "added")  # fields of a BodyMotion
-STATES = 50  # random ones at which an effect is asked
+OF_THE_WATER = ("u", "w", "tail", "sway_mass", "drag", "wet", "added")  # fields of a BodyMotion that depend on the water
+STATES = 50  # random states at which an effect is tested
 
 
 def in_tank(effect: Effect) -> str:
-    """Reason that an effect cannot act in the flow solver's tanks; "" if it can."""
+    """Reason for which an effect is not supported in the flow solver's tanks; "" if it is supported."""
     if effect.stochastic:
-        return "it is drawn when data are made, no simulator holds it"
+        return "it is stochastic, and simulators do not support it"
     if effect.water is not None:
         return f"it changes the forces of strips, {WATER}"
     for row in _sizes(effect):
         for site, judge in (("fish", _fish), ("body", _body), ("gear", _gear), ("flow", _flow)):
             act = getattr(effect, site)
-            with np.errstate(all="ignore"):  # random states meet the bounds of parameters
+            with np.errstate(all="ignore"):  # extreme parameters at random states may overflow
                 why = "" if act is None else judge(act, effect.memory, row)
             if why:
                 return why
@@ -48,13 +48,13 @@ def in_tank(effect: Effect) -> str:
 
 
 def refused(robot: Robot) -> dict[str, str]:
-    """Reasons by name, {name: reason}, of the robot's effects that cannot act in a tank."""
+    """Unsupported effects of the robot in a tank: {name: reason}."""
     found = {fitted.name: in_tank(effects.get(fitted.name)) for fitted in robot.effects}
     return {name: why for name, why in found.items() if why}
 
 
 def without(robot: Robot, names: Iterable[str]) -> Robot:
-    """Robot without some of its effects. Raises UnknownName if it has no such effect."""
+    """Robot without these effects. Raises UnknownName if it has no such effect."""
     have, names = [fitted.name for fitted in robot.effects], tuple(names)
     if wrong := [name for name in names if name not in have]:
         raise UnknownName(f"effect of {robot.name} to leave out", wrong[0], have)
@@ -62,17 +62,17 @@ def without(robot: Robot, names: Iterable[str]) -> Robot:
 
 
 def check_effects(robot: Robot) -> None:
-    """Raises ConfigError if some of the robot's effects cannot act in a tank; names each, with the reason and a remedy."""
+    """Raises ConfigError if a tank does not support all effects of the robot; names each, with reason and remedy."""
     if found := refused(robot):
         each = "; ".join(f"{name}: {why}" for name, why in found.items())
         raise ConfigError(
-            f"{robot.name} in the flow solver: {each}. Judge without: fishmj evaluate --leave-out {','.join(found)}; elsewhere"
+            f"{robot.name} in the flow solver: {each}. Evaluate without: fishmj evaluate --leave-out {','.join(found)}; elsewhere"
             " take those blocks [[effect]] out of the description"
         )
 
 
 def _sizes(effect: Effect) -> list[SimpleNamespace]:
-    """Parameters at which an effect is tested: both typical sizes, both bounds."""
+    """Parameter values at which an effect is tested: both typical sizes and both bounds."""
     picks = (lambda p: p.typical[0], lambda p: p.typical[1], lambda p: p.low, lambda p: p.high)
     return [SimpleNamespace(**{p.name: float(pick(p)) for p in effect.parameters}, joint=0) for pick in picks]
 
@@ -87,7 +87,7 @@ def _fish(act: Callable, memory: tuple, p) -> str:
         if "water" in changed:
             return f"it changes coefficients of strips, {WATER}"
         if other := [name for name in changed if name not in free]:
-            return f"it changes {', '.join(other)} of the {group}, and the tank's hull is the description's"
+            return f"it changes {', '.join(other)} of the {group}, but a tank uses the hull of the description"
     return ""
 
 
@@ -121,7 +121,7 @@ def _flow(act: Callable, memory: tuple, p) -> str:
     found = act(np, p, place)
     if all(np.ptp(np.asarray(a) - b) < 1e-9 for a, b in ((found.u, place.u), (found.v, place.v))):
         return ""
-    return "its water differs from place to place or in time, and a tank takes a mean stream that is uniform and steady"
+    return "its velocity varies in space or time, and a tank supports only a uniform, steady mean stream"
 
 
 def _same(a, b) -> bool:

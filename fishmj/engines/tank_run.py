@@ -1,8 +1,8 @@
-"""Runs of a fish with effects in a tank of the flow solver; effects that act in a step replace MuJoCo's own servos.
+"""Runs of a fish with effects in a tank of the flow solver; effects that act in each step replace MuJoCo's servos.
 
-In each step of the water the hooks of the closed form (`dynamics.hooks`) are called as on a bench in air. Their results drive the
-body (`lbm_oracle.immersed.driven_body`): torques and forces explicitly, dampings and masses in the matrix of the coupled solve.
-The effects' memory advances with the water's step, and is restored if a tick is repeated.
+Each step of the water calls the hooks of the closed form (`dynamics.hooks`) as in air. Their results drive the body
+(`lbm_oracle.immersed.driven_body`): torques and forces explicitly, damping and masses in the matrix of the coupled solve. The
+effects' memory advances with the water's step, and is restored if a tick is repeated.
 """
 
 from typing import cast
@@ -23,7 +23,7 @@ from fishmj.mjcf.model import personalise
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import DrawnFlow, Flow
 
-CLOCK = 1  # place of the session's time in an effect's memory
+CLOCK = 1  # index of the session's time in the memory
 STEPPED = ("command", "servo", "gear", "body")  # sites at which an effect acts in each step
 
 
@@ -36,7 +36,7 @@ class TankEffects:
 
     Attributes:
         memory: present memory, flat list.
-        acting: True if they act in each step. If not, they only change masses, which stand in MuJoCo's model (`personalise`).
+        acting: True if they act in each step; else they only change masses in MuJoCo's model (`personalise`).
     """
 
     def __init__(self, robot: Robot, active: EffectStack, row, memory, swimmer: planar_chain.Swimmer):
@@ -52,7 +52,7 @@ class TankEffects:
         self._begun, self._tick, self._kept = self.memory[CLOCK], -1, list(self.memory)
 
     def stream(self, flow: Flow) -> Flow:
-        """Flow of the tank with the velocity that the effects add to its mean."""
+        """Flow of the tank, with the effects' velocity added to its mean."""
         given = FlowAt(0.0, 0.0, 0.0, 0.0, 0.0)
         found = self.active.begin(np, self.row, self.memory).flow(given)
         if (found.u, found.v) == (0.0, 0.0):
@@ -68,23 +68,23 @@ class TankEffects:
         return made
 
     def personalise(self, model: mujoco.MjModel) -> None:
-        """Writes this fish's own constants into MuJoCo's model, where nothing acts in a step."""
+        """Writes this fish's constants into MuJoCo's model, for effects that do not act in each step."""
         ch, sw = self.chain, self.swimmer
         model.body_mass[1:], model.body_ipos[1:, 0], model.body_inertia[1:, 2] = ch.mass, ch.com, ch.inertia
         personalise(model, mass=sw.mass, kp=sw.kp, kv=sw.kv, kb=sw.kb, zero=sw.zero)
 
     def restart(self) -> None:
-        """Begins a session: its clock restarts, joints and gears keep their state."""
+        """Begins a session: resets its clock, and keeps the state of joints and gears."""
         self.memory[CLOCK], self._tick = self._begun, -1
 
     def begin_tick(self, tick: int) -> None:
-        """Restores the memory at the start of every attempt at a tick: a repetition starts from the memory of the first."""
+        """Saves the memory at the first attempt at a tick, and restores it at a repetition."""
         if tick == self._tick:
             self.memory = list(self._kept)
         self._tick, self._kept = tick, list(self.memory)
 
     def push(self, body: DrivenBody, target) -> float:
-        """Sets the drive of the next step of the body for the bus targets (J,) rad; returns the servos' power in it, W."""
+        """Sets the drive of the body's next step for bus targets (J,) rad; returns the servos' power in it, W."""
         q, v = body.data.qpos.tolist(), body.data.qvel.tolist()
         ch, sw = self.chain._replace(dt=body.dt), self.swimmer
         hooks = Commanded(np, self.active, self.row, self.memory, 0.0)
@@ -104,14 +104,14 @@ class TankEffects:
 
 
 class EffectRun(Run):
-    """A `Run` whose joints are moved by a fish's effects and servos; same arguments."""
+    """`Run` with servos under the fish's effects; further arguments as for `Run`."""
 
     def __init__(self, added: TankEffects, *args, **options):
         self.added = added
         super().__init__(*args, **options)
 
     def begin(self) -> None:
-        """Starts a run from the present state, and the effects' clock; as `Run.begin`."""
+        """Starts a run from the present state as `Run.begin`, and restarts the effects' clock."""
         super().begin()
         self.added.restart()
 
@@ -134,7 +134,7 @@ class EffectServos:
         return run.prescribed_velocity(self.body.dt)
 
     def record(self) -> None:
-        """Does nothing: the power is known already."""
+        """Does nothing, because the power is known already."""
 
     def follow(self) -> None:
         """Does nothing."""

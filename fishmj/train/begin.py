@@ -51,7 +51,7 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
     network = {"--hidden": hidden, "--activation": policy.meta["activation"], "--memory": policy.memory, "--command-path": path}
     for option, theirs in (network | {"--control-dt": step}).items():
         if asked.get(option, theirs) != theirs:
-            raise ConfigError(f"--begin {source}: got {option} {asked[option]}, but the policy has {theirs}; leave {option} out")
+            raise ConfigError(f"--begin {source}: {option} {asked[option]}, the policy has {theirs}; leave {option} out")
     network = {"hidden": hidden, "activation": policy.meta["activation"], "sigma": asked.get("--sigma", SIGMA)}
     if settings.engine != LBM and "--learning-rate" not in asked:
         network["learning_rate"] = SLOWER * config_of(settings).learning_rate

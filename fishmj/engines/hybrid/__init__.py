@@ -1,9 +1,9 @@
-"""The water `hybrid`: MuJoCo swims in the fitted water, and short segments of the flow solver correct that water while it does.
+"""The water `hybrid`: MuJoCo swims in the fitted water, which short segments of the flow solver correct during the swim.
 
-hybrid.py     when a segment begins and ends, the worker beside the simulation, what was corrected
-hybrid_segment.py    the swim of a fish, the same swim in a better water, and the difference of the two
-tanks.py      the better water: tanks of the flow solver, seeded from MuJoCo's own state and stream
-engine.py     all of it as an engine, for the judge and for `play`
+hybrid.py     schedule of the segments, the worker thread, and the report of corrections
+hybrid_segment.py    a segment of a swim, repeated in the reference water, and the difference of the two
+tanks.py      the reference water: tanks of the flow solver, initialised from MuJoCo's state and stream
+engine.py     the whole as an engine, for `evaluate` and `play`
 """
 
 from fishmj.engines.hybrid.hybrid import Hybrid, HybridOptions

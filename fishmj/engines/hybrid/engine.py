@@ -1,4 +1,4 @@
-"""A hybrid as an engine: another engine moves the fish, segments of the flow solver correct its water from tick to tick."""
+"""Hybrid engine: another engine moves the fish, and segments of the flow solver correct its water."""
 
 from typing import Any
 
@@ -13,11 +13,11 @@ from fishmj.water.flow import Current, Flow
 
 
 class HybridEngine:
-    """Fish that swim side by side, each corrected by segments of its own.
+    """Moves a batch of fish, each corrected by its own segments.
 
     Args:
         kind: a flow with the turbulence and box of the background. inner: engine that moves the fish, or its name.
-        oracle, replay: as of `Hybrid`.
+        oracle, replay: as in `Hybrid`.
 
     Attributes:
         name: its name in tables.

@@ -1,17 +1,17 @@
-"""The water of a swimming fish, corrected by short segments in a better water.
+"""Online correction of a swimming fish's water by short segments in a reference water, the flow solver.
 
     hybrid = Hybrid(robot, HybridOptions(every=50.0), kind=flow)
     params, current = hybrid.tick(fish, params, current, k)     before bus tick k: water and stream of that tick for MuJoCo
     hybrid.report()                                             corrections, their times, sizes and standard deviations
 
     MuJoCo      |first|---------- every ----------|---------- every ----------|
-    segments          |lead|span|                 |lead|span|                    seeded from MuJoCo's own state and stream
+    segments          |lead|span|                 |lead|span|                    initialised from MuJoCo's state and stream
                                  |.. solved ..|^  corrected from this tick on
 
-B fish are observed at once, each with a correction of its own (`hydro_fit.online_correction`). The state of the swim is never
-changed, so a corrected swim has no jumps. MuJoCo does not wait: a worker thread runs the solver and the comparison, and its
-result enters at the next bus tick. With `wait` everything happens between two ticks, the same in every run. A better water that
-is missing or fails is switched off with one warning; the corrections so far stay.
+Each of the B fish has its own correction (`online_correction`). Only the water changes, never the state of the swim, so a
+corrected swim has no jumps. MuJoCo does not wait: a worker thread runs the solver and the comparison, and its result is applied
+at the next bus tick. With `wait` MuJoCo waits for each result, which makes runs reproducible. If the reference water is missing
+or fails, it is switched off with one warning; the corrections so far stay.
 """
 
 import atexit
@@ -38,9 +38,9 @@ from fishmj.mjcf.description import Robot
 from fishmj.water import choice
 from fishmj.water.flow import Current, Flow, shifted
 
-OWN = 2.0  # mean square, in tolerances, that nine of ten segments of a right water stay below; docs/simulate/fitted_water.md
-SPAN = 2.0  # s of a segment that are compared
-LEAD = f"s of a segment for which the fish is led along MuJoCo's path; {SPAN:g} s more are compared"
+OWN = 2.0  # 90th percentile of the mean square residual, in tolerances, of a correct water; docs/simulate/fitted_water.md
+SPAN = 2.0  # s, compared part of a segment
+LEAD = f"s in which the fish is first moved along MuJoCo's path; {SPAN:g} s more are compared"
 LEAVING = 10.0  # s that the end of the program waits for a tick of the solver
 
 
@@ -49,18 +49,18 @@ class HybridOptions:
     """Schedule and solver options of the correction of a water.
 
     Attributes:
-        first, every, lead, span: s; from `first` on the solver swims (lead + span) of every `every`.
+        first, every, lead, span: s; from `first` on, the solver swims (lead + span) in every period `every`.
         domain, slip, boundary: of the solver: box by name (`laptop` is a preview), slip ratio of the hull, immersed boundary by
             name; None: those with which the segments of the fitted water were solved. device: auto, cpu, cuda or cuda:N.
         tank: flow whose mean is the stream of the tanks, with MuJoCo's eddies; None: MuJoCo's own stream.
-        patience: wall-clock s for a segment; a later one is dropped. side_by_side: tanks at a time.
-        wait: MuJoCo waits for the solver, however long it takes, and every run is the same.
+        patience: s of wall clock for a segment; a later result is dropped. side_by_side: number of tanks at a time.
+        wait: MuJoCo waits for the solver, however long it takes, so that runs are reproducible.
 
     Raises ConfigError: invalid times.
     """
 
     first: float = setting(10.0, number(0, 600), "s before the first segment")
-    every: float = setting(50.0, number(4, 600), "s from segment to segment; each is 3.5 s")
+    every: float = setting(50.0, number(4, 600), "s from the start of a segment to the next; each lasts 3.5 s")
     lead: float = setting(1.5, number(0, 60, above=True), LEAD)
     span: float = SPAN
     domain: str | None = None
@@ -68,7 +68,9 @@ class HybridOptions:
     boundary: str | None = None
     device: str = "auto"
     tank: Flow | None = None
-    own: float = setting(OWN, number(0, 1e6, above=True), "mean square miss of a right water")
+    own: float = setting(
+        OWN, number(0, 1e6, above=True), "mean square residual, in tolerances, below which the water counts as correct"
+    )
     patience: float = 60.0
     side_by_side: int = 12
     wait: bool = False
@@ -79,7 +81,7 @@ class HybridOptions:
             raise ConfigError(f"hybrid: {got}; expected first >= 0, lead and span > 0, and both within {self.every} s")
 
     def solver(self, robot: Robot) -> SolverWater:
-        """Water of the tanks. Raises ConfigError: a boundary without this name."""
+        """Water of the tanks. Raises ConfigError: no boundary has this name."""
         name = robot.name if choice.label(robot) == choice.FITTED else choice.label(robot)
         fitted = None if name in choice.KINDS else choice.fitted_water(name)
         made, slip = (fitted.dataset, fitted.slip) if fitted is not None else ({}, PLAIN.slip)
@@ -93,7 +95,7 @@ class HybridOptions:
 
 @dataclass
 class _Recording:
-    """Segment under way, of all fish: their states and water at its start, states and commands since then."""
+    """Segment under way, for all fish: states and water at its start, states and commands since then."""
 
     tick: int
     params: FishParams
@@ -116,10 +118,10 @@ class _Recording:
 
 @dataclass
 class _Job:
-    """Segments in the better water, and the corrections from them."""
+    """Work of the thread: segments in the reference water, and the corrections from them."""
 
     segments: list[HybridSegment]
-    states: list[Correction]  # of all fish, when the segments were swum
+    states: list[Correction]  # of all fish, during the segments
     idle: list[float]  # s since the last segment of each fish
     began: float = field(default_factory=time.perf_counter)
     found: list[tuple[HybridSegment, Correction, dict]] = field(default_factory=list)
@@ -131,10 +133,10 @@ class _Job:
         try:
             seen = list(zip(self.segments, oracle().swim(self.segments), strict=True))
             matched = lambda pair: self._matched(pair[0], pair[1], replay, own)
-            self.found = [matched(pair) for pair in seen[:1]]  # compiles, once and not in every thread
+            self.found = [matched(pair) for pair in seen[:1]]  # compiles once, not in every thread
             with ThreadPoolExecutor(usable_cores()) as pool:
                 self.found += pool.map(matched, seen[1:])
-        except Exception as error:  # noqa: BLE001  whatever becomes of solver, driver or device: the fish swims on
+        except Exception as error:  # noqa: BLE001  the fish swims on, whichever error solver, driver or device raise
             self.failed = " ".join(str(error).split()) or type(error).__name__
         self.wall, self.done = time.perf_counter() - self.began, True
 
@@ -154,12 +156,12 @@ class Hybrid:
 
     Args:
         kind: a flow with the turbulence and box of the background.
-        oracle: the better water; the flow solver by default.
-        replay: model of the simulation's swim, if that is not the robot's own.
+        oracle: the reference water; the flow solver by default.
+        replay: model of the simulated swim, if it is not the robot's own.
 
     Attributes:
-        states: the correction of each fish. rows: results of the segments of each fish.
-        off: reason that there are no more segments, "" while there are.
+        states: the correction of each fish. rows: results of each fish's segments.
+        off: reason for which the solver was switched off; "" while it works.
     """
 
     def __init__(
@@ -170,9 +172,7 @@ class Hybrid:
         self.robot, self.options, self.kind = robot, options, kind or Flow()
         self.water = self.options.solver(robot)
         if oracle is None and self.water.domain in PREVIEWS:
-            console.warn(
-                f"hybrid: the box {self.water.domain} is a preview: its water is not the one that the robot's was fitted to"
-            )
+            console.warn(f"hybrid: the box {self.water.domain} is a preview: the robot's water was fitted to another box")
         self._oracle, self._replay = oracle, replay or Replay(robot)
         self.size = robot.timing.bus_dt
         self.off, self._told = "", set[str]()
@@ -181,7 +181,7 @@ class Hybrid:
         self.reset()
 
     def reset(self) -> None:
-        """Clears records and corrections; a solver that was switched off stays so."""
+        """Clears records and corrections; a solver that was switched off stays off."""
         self.states: list[Correction] = []
         self.rows: list[list[dict]] = []
         self._last = -1
@@ -189,12 +189,12 @@ class Hybrid:
         self._job: _Job | None = None
 
     def tick(self, fish: FishState, params: FishParams, current: Current, tick: int) -> tuple[FishParams, Current]:
-        """Corrected water of MuJoCo for bus tick `tick` of B fish; call it before the tick.
+        """Returns MuJoCo's water for bus tick `tick` of B fish, corrected; call it before the tick.
 
         Args:
             fish: present states. params, current: fish and background flow without any correction.
         Returns:
-            params with the corrected water, current with the corrected stream; the same objects if nothing is corrected.
+            params with the corrected water, current with the corrected stream; the arguments themselves without corrections.
         """
         if tick <= self._last:
             self.reset()
@@ -204,17 +204,17 @@ class Hybrid:
         self._last = tick
         self._collect(tick)
         self._watch(fish, params, current, tick)
-        self._collect(tick)  # where it has waited for a segment
+        self._collect(tick)  # again, in case `_watch` has waited for a segment
         return self._corrected(params, current, tick)
 
     def close(self) -> None:
-        """Waits for a segment that is under way, and takes its result."""
+        """Waits for a running segment, and applies its result."""
         if self._thread is not None:
             self._thread.join()
         self._collect(self._last)
 
     def report(self, fish: int = 0) -> dict:
-        """Report: options, segments by time, factors and stream with their standard deviations, and the reason of the end."""
+        """Report: options, segments by time, factors and stream with standard deviations, and `off`."""
         o, state = self.options, self.states[fish] if self.states else online_correction.fresh()
         covered = len(self.rows[fish]) * (o.lead + o.span) if self.rows else 0.0
         base = {"domain": self.water.domain, "slip": self.water.slip, **boundary_entry(self.water.sharpness)}
@@ -225,7 +225,7 @@ class Hybrid:
     # ---- the record ----
 
     def _watch(self, fish: FishState, params: FishParams, current: Current, tick: int) -> None:
-        """Records states and commands while a segment is under way; hands it over at its end."""
+        """Records states and commands during a segment, and passes it to the worker at its end."""
         o = self.options
         lead, span, every, first = (round(s / self.size) for s in (o.lead, o.span, o.every, o.first))
         now = self._recording
@@ -233,11 +233,11 @@ class Hybrid:
             now.commands.append(np.array(np.asarray(fish.buffer)[:, -1], float))
             if tick == now.tick + lead + span:
                 self._recording = None
-                if np.array_equal(now.current.mean, current.mean):  # else somebody has turned the stream meanwhile
+                if np.array_equal(now.current.mean, current.mean):  # otherwise the stream was changed during the segment
                     self._hand_over(now.segments(self.kind))
         if tick >= first and (tick - first) % every == 0 and not self.off:
             if self._thread is not None and self._thread.is_alive():
-                self._say("slow", "the solver is still at work when the next segment is due, which is left out")
+                self._say("slow", "the solver still works when the next segment is due: that segment is skipped")
             else:
                 self._recording = _Recording(tick, params, current)
         now = self._recording
@@ -259,13 +259,13 @@ class Hybrid:
         self._thread.start()
 
     def _leave(self) -> None:
-        """Stops the solver after its tick when the program ends, before the interpreter is torn down."""
+        """Stops the solver after its present tick at the end of the program, before the interpreter shuts down."""
         self._over = True
         if self._thread is not None:
             self._thread.join(LEAVING)
 
     def _better(self) -> Oracle:
-        """Better water, made at the first call."""
+        """Reference water, made at the first call."""
         if self._oracle is None:
             from fishmj.engines.hybrid.tanks import Tanks
 
@@ -277,7 +277,7 @@ class Hybrid:
     # ---- results ----
 
     def _collect(self, tick: int) -> None:
-        """Takes the results of a worker."""
+        """Applies the results of a finished worker."""
         job = self._job
         if job is None or not job.done:
             return
@@ -285,12 +285,12 @@ class Hybrid:
         late = not self.options.wait and job.wall > self.options.patience
         if job.failed:
             self.off = job.failed
-            self._say("off", f"the fish swims on in the water as it is: {job.failed}")
+            self._say("off", f"no further corrections, the fish swims on in the present water: {job.failed}")
         elif late:
-            self._say("late", f"a segment took {job.wall:.0f} s of the {self.options.patience:g} s that it may: dropped")
+            self._say("late", f"a segment took {job.wall:.0f} s, more than the allowed {self.options.patience:g} s: dropped")
         for segment, state, row in [] if late else job.found:
             if "failed" in row:
-                self._say("failed", f"a segment came to no end: {row['failed']}")
+                self._say("failed", f"a segment failed: {row['failed']}")
             else:
                 self.states[segment.fish] = state
             times = {"t": segment.tick * self.size, "applied": tick * self.size}
@@ -304,14 +304,14 @@ class Hybrid:
         return params._replace(water=water), shifted(current, stream.T, np.full(len(water), tick))
 
     def _say(self, what: str, text: str) -> None:
-        """Warns, once for each kind."""
+        """Warns once for each kind `what`."""
         if what not in self._told:
             self._told.add(what)
             console.warn(f"hybrid: {text}")
 
 
 def _told(state: Correction) -> dict:
-    """Factors and stream with their standard deviations (the factors' of their logarithms)."""
+    """Factors and stream of a correction with standard deviations, for factors those of their logarithms."""
     sd = state.sd
     known = {"factors": state.factors, "factors_sd": sd[:FACTORS], "stream": state.stream, "stream_sd": sd[FACTORS:]}
     return {name: np.round(value, 6).tolist() for name, value in known.items()}

@@ -1,10 +1,11 @@
-"""A segment: the swim of a fish in MuJoCo, the same swim in a better water, and the difference of the two.
+"""Segments: the swim of a fish in MuJoCo, the same swim in a reference water, and the difference of the two.
 
     |---- lead ----|---- span ----|        bus ticks
-     the better water's fish is led along MuJoCo's own path, then swims the same commands by its servos
+     the fish in the reference water is moved along MuJoCo's path, then swims freely with the same commands
 
-The better water starts undisturbed and develops during the lead. The span is compared; it starts from one state, with the same
-commands in the same eddies. Compared are means of velocity ahead, to the left, and yaw rate over windows of `WINDOW` s.
+The reference water starts undisturbed, and its wake develops during the lead. Only the span is compared: both swims start from
+the same state, with the same commands and eddies. Forward and lateral velocity and yaw rate are averaged over windows of `WINDOW`
+s.
 """
 
 from collections.abc import Sequence
@@ -20,21 +21,21 @@ from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.tolerance import WINDOW, body_rates, of_movement
 from fishmj.water.flow import Current, Flow, shifted
 
-WIDE = 12  # replays side by side; a batch of one size is compiled once
+WIDE = 12  # batch size of replays; one size is compiled once
 
 
 class HybridSegment(NamedTuple):
-    """Swim of one fish; every field of a batch has one row."""
+    """Segment of one fish; fields of a batch have one row."""
 
-    fish: int  # its number
-    tick: int  # bus ticks from t = 0 to the begin of the lead
-    q: np.ndarray  # (L + 1, 3 + J) states at the begin and after each tick of the lead, m, rad
+    fish: int  # its index
+    tick: int  # bus ticks from t = 0 to the start of the lead
+    q: np.ndarray  # (L + 1, 3 + J) states at the start and after each tick of the lead, m, rad
     v: np.ndarray  # (L + 1, 3 + J) m/s, rad/s
     start: FishState  # where the lead ends; its buffer holds the commands until then
-    commands: np.ndarray  # (n, J) rad, as they were on the bus, one a tick of the span
-    params: FishParams  # the fish, in the water that is to be corrected
-    current: Current  # background flow as MuJoCo is told
-    kind: Flow  # its turbulence and box
+    commands: np.ndarray  # (n, J) rad, bus commands of the span, one for each tick
+    params: FishParams  # the fish, in the water before the correction
+    current: Current  # background flow in MuJoCo
+    kind: Flow  # turbulence and box of that flow
 
     @property
     def span(self) -> int:
@@ -43,35 +44,35 @@ class HybridSegment(NamedTuple):
 
 
 class FreeSwim(NamedTuple):
-    """n ticks of free swimming, states after each, (n, 3 + J); of B replays (B, n, 3 + J)."""
+    """States after each of n ticks of free swimming, (n, 3 + J); of B replays (B, n, 3 + J)."""
 
     q: np.ndarray
     v: np.ndarray
 
 
 class Oracle(Protocol):
-    """A better water."""
+    """Reference water of a hybrid."""
 
     def swim(self, segments: Sequence[HybridSegment]) -> list["FreeSwim | str"]:
-        """Swims of the fish of each segment in its span there, or the reason for an early end.
+        """Swims the span of each segment in this water; returns the swims, or the reason for an early end.
 
-        Raises FishmjError, ArithmeticError, RuntimeError: this water does not work at all.
+        Raises FishmjError, ArithmeticError, RuntimeError: the water as a whole failed.
         """
 
 
 class Replay:
-    """Repeats the span of a segment in the simulation's water with other factors and another stream: the closed form, in JAX.
+    """Repeats the span of a segment in the simulation's water with given factors and stream, by the closed form in JAX.
 
-    chain: a chain other than the robot's own.
+    chain: chain to use in place of the robot's.
     """
 
     def __init__(self, robot: Robot, chain: planar_chain.Chain | None = None):
         self.engine, self.tick = planar.PlanarEngine(robot), robot.timing.bus_dt
         self.engine.chain = chain or self.engine.chain
-        self._device = jax.local_devices(backend="cpu")[0]  # a dozen fish: a GPU would take longer, and has the solver's tanks
+        self._device = jax.local_devices(backend="cpu")[0]  # faster for a dozen fish than a GPU, which computes the tanks
 
     def means(self, segment: HybridSegment, factors: np.ndarray, stream: np.ndarray) -> np.ndarray:
-        """Velocity ahead, to the left, and yaw rate by windows, (K, 3, B); for factors (10, B) and streams (2, B)."""
+        """Forward and lateral velocity and yaw rate in each window, (K, 3, B), for factors (10, B) and streams (2, B)."""
         parts = []
         for k in range(0, factors.shape[1], WIDE):
             swum = self.swim(segment, factors[:, k : k + WIDE], stream[:, k : k + WIDE])
@@ -95,15 +96,15 @@ class Replay:
 
 
 class Misses:
-    """Differences of the simulation's movement from the observed one, divided by the irreducible error: (K, 3, B).
+    """Residuals (K, 3, B): simulated minus observed motion, divided by the irreducible error.
 
-    own: 90th percentile of the mean square in tolerances, of the worst channel, over segments of an exact water.
+    own: 90th percentile of the mean square, in tolerances, of the worst channel, over segments of a correct water.
     """
 
     def __init__(self, replay: Replay, segment: HybridSegment, seen: FreeSwim, own: float):
         self.replay, self.segment = replay, segment
         self.seen = windows(body_rates(seen.q, seen.v), replay.tick)[..., None]
-        # the tolerance grows with the speed through the water: a fish that holds station swims as fast as the stream
+        # tolerances use the speed through the water: a fish that holds station swims as fast as the stream
         through = seen.v[:, :3] - [*segment.current.mean[0], 0.0]
         speed, turn = of_movement(*windows(body_rates(seen.q, through), replay.tick).T)
         self.wide = np.stack([speed, speed, turn], 1)[..., None] * np.sqrt(own)

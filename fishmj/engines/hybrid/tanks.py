@@ -1,7 +1,7 @@
-"""The better water of a hybrid: tanks of the flow solver, one a segment, side by side on one device.
+"""Reference water of a hybrid: tanks of the flow solver, one for each segment, side by side on one device.
 
-Every segment gets a tank of its own in MuJoCo's background flow of that time: the same eddies at the same places, on the tank's
-own mean stream if that is given. The fish is MuJoCo's, with its masses, gains and latency, in MuJoCo's state.
+Every segment has its own tank with MuJoCo's background flow at that time: the same eddies at the same places, with the tank's
+mean stream if one is given. The fish has the masses, gains, latency and state of MuJoCo's fish.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,11 +20,11 @@ from fishmj.water.flow import DrawnFlow, Flow, shifted
 
 
 class Tanks:
-    """The flow solver as the better water.
+    """Flow solver as an `Oracle`.
 
     Args:
-        water: of the solver. device: auto, cpu or cuda.
-        stream: flow whose mean is that of the tanks; None: MuJoCo's own. side_by_side: segments at a time.
+        water: water of the solver. device: auto, cpu or cuda.
+        stream: flow whose mean is that of the tanks; None: MuJoCo's. side_by_side: number of segments at a time.
         go_on: called before every tick; False ends the segments.
     """
 
@@ -37,7 +37,7 @@ class Tanks:
         self.water = box | water.immersed
 
     def swim(self, segments: Sequence[HybridSegment]) -> list["FreeSwim | str"]:
-        """Swims of the segments in the flow solver; as `Oracle.swim`."""
+        """Swims the segments in the flow solver; as `Oracle.swim`."""
         some = self.side_by_side
         return [one for k in range(0, len(segments), some) for one in self._together(segments[k : k + some])]
 
