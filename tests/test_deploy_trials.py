@@ -59,7 +59,7 @@ def test_the_pump_and_the_direction_come_from_the_flow_map():
     assert waters_of(None, [0.2]) == {} and stream_direction({}) == 0.0
     turned = FlowMap(tuple(s._replace(direction=d) for s, d in zip(MAP.settings, (3.0, -3.1, 3.1), strict=True)))
     assert stream_direction(waters_of(turned, [0.1, 0.2])) == pytest.approx(np.pi - 0.05, abs=0.01)
-    with pytest.raises(ConfigError, match="nothing is guessed beyond"):
+    with pytest.raises(ConfigError, match="is outside the measured"):
         waters_of(MAP, [0.05])
 
 

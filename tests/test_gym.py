@@ -248,7 +248,7 @@ def test_wrong_use_is_one_clear_error():
         env.reset(options={"position": (0, 0)})
     with pytest.raises(ConfigError, match=r"pose = \(0, 0\); expected shape \(3,\)"):
         env.reset(options={"pose": (0, 0)})
-    with pytest.raises(ConfigError, match="decides target by itself"):
+    with pytest.raises(ConfigError, match="sets target itself"):
         FishEnv(task="figure_eight", engine="batch").reset(options={"target": (0, 0)})
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="expected finite"):

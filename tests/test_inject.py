@@ -104,7 +104,7 @@ def test_the_callback_slot_is_guarded():
     model, free = mjcf.build(robot), mjcf.build(robot, "free")
     with pytest.raises(ConfigError, match="same root"), inject(free, PlanarWater(robot)):
         pass
-    with inject(model, PlanarWater(robot)), pytest.raises(InjectionError, match="in water already"):
+    with inject(model, PlanarWater(robot)), pytest.raises(InjectionError, match="has a water already"):
         with inject(model, PlanarWater(robot)):
             pass
     mujoco.set_mjcb_passive(lambda m, d: None)

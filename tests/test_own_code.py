@@ -229,7 +229,7 @@ def test_an_own_task_loads_in_gymnasium_and_dm_control_with_its_options(line):
 
 
 def test_an_own_reward_takes_no_weights_of_the_papers(line):
-    with pytest.raises(ConfigError, match="has a reward of its own, without wS"):
+    with pytest.raises(ConfigError, match="has its own reward, without weights wS"):
         TaskSpec(line, TaskOptions(wS=0.1))
 
 
@@ -257,18 +257,18 @@ def test_a_task_without_reward_and_end_has_the_papers():
         ({"launch": lambda self, xp, u: Good.launch(self, xp, u)._replace(seconds=3.0 + u[:, 0])}, "at most the task's 2 s"),
         ({"launch": None}, "has no launch(xp, uniforms)"),
         ({"launch": lambda self, xp: None}, "expected launch(xp, uniforms)"),
-        ({"launch": lambda self, xp, u: u}, "launch gave ndarray; expected EpisodeStart"),
+        ({"launch": lambda self, xp, u: u}, "launch returned ndarray; expected EpisodeStart"),
         ({"launch": lambda self, xp, u: EpisodeStart(draw_start(xp, u), u)}, "launch: phase has shape (5, 7), expected (5,)"),
         ({"target": lambda self, xp, launch, t: launch.start.target[0]}, "target has shape (2,), expected (5, 2)"),
         ({"target": lambda self, xp, launch, t: launch.start.target / 0.0}, "target is not finite"),
         ({"target": lambda self, xp, launch, t: launch.nothing}, "AttributeError"),
         ({"reward": lambda self, xp, step: 1.0}, "reward has shape None, expected (5,)"),
         ({"reward": lambda self, xp, step: step.trace.rate}, "reward has shape (5, 10, 3)"),
-        ({"outside": lambda self, xp, pose: pose[..., 0]}, "outside gave float64; expected bool"),
+        ({"outside": lambda self, xp, pose: pose[..., 0]}, "outside returned float64; expected bool"),
         ({"seconds": -1}, "seconds = -1"),
         ({"seconds": "10"}, "seconds = '10'"),
-        ({"observe": lambda self, xp, step: step.distance}, "has observe, which nothing would call: the policy sees the 5 + 2 J"),
-        ({"observation_space": 3}, "has observation_space, which nothing would call"),
+        ({"observe": lambda self, xp, step: step.distance}, "has observe, which is never called: policies see fishmj's 5 + 2 J"),
+        ({"observation_space": 3}, "has observation_space, which is never called"),
     ],
 )
 def test_a_wrong_task_is_one_line_before_anything_runs(change, said):

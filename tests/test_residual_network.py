@@ -153,7 +153,7 @@ def test_device_without_kernel_support_is_reported_once_and_uses_products(capsys
     residual_kernel.usable.cache_clear()
     assert not residual_kernel.usable() and not residual_kernel.usable()
     said = capsys.readouterr().err
-    assert said.count("Matrix products take their place") == 1 and "compute capability" in said
+    assert said.count("Matrix products replace them") == 1 and "compute capability" in said
     residual_kernel.usable.cache_clear()
     table = jax.ShapeDtypeStruct((residual_kernel.BLOCK, 4), jnp.float32)
     lowered = residual_kernel.probe.trace(table, table).lower(lowering_platforms=("cuda",))

@@ -162,7 +162,7 @@ def test_run_folder_is_not_overwritten_or_resumed_with_other_settings(learner, t
             ConfigError, match="the description of fish changed since the checkpoint; restore it, or start another"
         ):
             TrainingRun(settings, tmp_path, **more)
-    with pytest.raises(ConfigError, match="--steps 8,000 and 8,192 are trained already; .* for 8,000 more give --steps 16192"):
+    with pytest.raises(ConfigError, match="--steps 8,000, but 8,192 are trained already; .* for 8,000 more give --steps 16192"):
         TrainingRun(change(settings, steps=8000), tmp_path, **more)
     longer = TrainingRun(change(settings, steps=10**9), tmp_path, **more)  # only longer: that is allowed
     assert longer.done == 8192 and longer.command == "fishmj train --preset quick && fishmj train --resume"

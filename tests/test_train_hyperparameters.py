@@ -196,7 +196,7 @@ def test_stated_range_of_the_task_changes_no_draw():
     [
         ("--flow-speeds 0.3,0.1", "expected the smaller number first"),
         ("--control-dt 0.15", "control_dt = 0.15 s is not a multiple of bus_dt = 0.02 s; nearest valid control_dt: 0.16 s"),
-        ("--flow-exponent 2 --flow-speeds 0.2", "flow_exponent = 2.0 with flow_speed = 0.2, one speed that is not drawn"),
+        ("--flow-exponent 2 --flow-speeds 0.2", "flow_exponent = 2.0 with flow_speed = 0.2, a constant"),
         ("--hide target,velocity,yaw_rate,joint,joint_rate", "all groups: the policy would see nothing"),
         ("--reward wG=0 wD=0 wS=0", "reward weights wG, wD, wS are all 0"),
         ("--episode-seconds 0.1", "seconds = 0.1 s; expected a multiple of the control step of 0.2 s"),
@@ -215,8 +215,8 @@ def test_policy_of_another_control_step_is_refused_with_the_remedy():
     policy = policy_of(PolicyLayers(mlp(jax.random.key(0), [11, 8, 3]), "tanh"), settings, {})
     said = fit(policy.meta, body_of(robot_for(preset("quick"))), anyway=False, known={}).refused
     assert said == (
-        "decides every 0.1 s, the robot every 0.2 s: put control_dt = 0.1 into [timing] of its description, FILE.toml, and name "
-        "that (--robot FILE.toml), or add --control-dt 0.1, apart from policies that decide at other times",
+        "decides every 0.1 s, the robot every 0.2 s: put control_dt = 0.1 into [timing] of its description, FILE.toml, and use "
+        "that file (--robot FILE.toml), or add --control-dt 0.1, apart from policies that decide at other times",
     )
     assert not fit(policy.meta, body_of(robot_for(settings)), anyway=False, known={}).refused
 

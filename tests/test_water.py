@@ -242,7 +242,7 @@ def test_attachment_stays_between_stalled_and_attached(seed):
 
 
 def test_coefficients_that_feed_energy_are_refused():
-    with pytest.raises(ConfigError, match="can feed energy"):
+    with pytest.raises(ConfigError, match="can add energy"):
         strip_forces.coefficients(dict(ROBOT.water, lift_a=0.1, lift_b=0.2), N)
     with pytest.raises(ConfigError, match="one value a link"):
         strip_forces.coefficients(dict(ROBOT.water, k=[0.9]), N)
@@ -250,5 +250,5 @@ def test_coefficients_that_feed_energy_are_refused():
 
 def test_an_edge_at_its_bound_reads_as_it_was_rounded():
     strip_forces.coefficients(dict(ROBOT.water, lift_a=0.123456789, lift_b=0.37654321), N)
-    with pytest.raises(ConfigError, match="can feed energy"):
+    with pytest.raises(ConfigError, match="can add energy"):
         strip_forces.coefficients(dict(ROBOT.water, lift_a=0.1, lift_b=0.39999), N)

@@ -84,7 +84,9 @@ def test_stated_coefficients_without_effect_are_told_or_refused(monkeypatch, cap
     assert not capsys.readouterr().err
     assert label(chosen(chosen(stated(cf=0.2, linear_drag=1.0)).robot).robot) == "swift"
     assert capsys.readouterr().err.count("[water] cf, linear_drag: not used in the fitted water 'swift'; --water structured") == 1
-    with pytest.raises(ConfigError, match="residual = 0.5 of robot 'swift', but every fish draws its share between 0.5 and 1.25"):
+    with pytest.raises(
+        ConfigError, match="residual = 0.5 of robot 'swift', but every fish of a family draws its share between 0.5 and 1.25"
+    ):
         chosen(stated(residual=0.5), "family")
 
 
@@ -109,7 +111,7 @@ def test_what_cannot_be_is_one_clear_error():
     with pytest.raises(ConfigError, match="none is fitted for robot 'other'; take structured, or fit one"):
         chosen(replace(FISH, name="other"), "fitted")
     for kind, where in (("hybrid", "evaluate"), ("lbm", "suite.load")):
-        with pytest.raises(ConfigError, match=f"water '{kind}': the engine swims in fitted, structured, none.*{where}"):
+        with pytest.raises(ConfigError, match=f"water '{kind}': the engine supports fitted, structured, none.*{where}"):
             in_water(FISH, kind, who="the engine")
 
 

@@ -1,8 +1,8 @@
-"""Station holding for thousands of fish at once: a functional environment in JAX over any jit-able engine.
+"""Station holding as a functional, batched JAX environment for thousands of fish, with any jit-able engine.
 
     state = env.reset(key, n);  state = env.step(state, action)
 
-`step` restarts finished episodes by itself; `state.final_obs` is the observation before that restart, for bootstrapping.
+`step` resets finished episodes by itself; `state.final_obs` is the observation before that reset, for bootstrapping.
 The flow is hidden: it is in `state.privileged` (for a critic that trains in simulation only), never in `state.obs`.
 """
 
@@ -28,22 +28,22 @@ from fishmj.water import flow
 from fishmj.water.choice import in_water
 from fishmj.water.flow import Current
 
-MEMORY = 1000  # observations that a policy may see at most
-ARGUMENTS = ("robot", "engine", "options", "water", "control_dt", "command_path")  # of StationHold, besides the reward's weights
+MEMORY = 1000  # largest number of observations in a policy's input
+ARGUMENTS = ("robot", "engine", "options", "water", "control_dt", "command_path")  # of StationHold, besides reward weights
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(DrawOptions):
     """Options of the task in a training run."""
 
-    memory: int = 1  # observations (with the actions between them) that the policy sees
+    memory: int = 1  # number of observations (with the actions between them) in the policy's input
     hide: tuple[str, ...] = ()  # observation groups set to zero (ablations), of station_hold.GROUPS
-    course: str = "station_hold"  # of tasks.reference, or the text of one's own that was loaded
+    course: str = "station_hold"  # name in tasks.reference, or reference of the user's own task that was loaded
 
     def __new__(cls, *given, **options):
-        """Names the place of an argument of `StationHold`; the rest as its base."""
+        """Raises ConfigError if an option is an argument of `StationHold`, or as the base class does."""
         if elsewhere := [name for name in options if name in (*ARGUMENTS, *task.WEIGHTS)]:
-            raise ConfigError(f"task: {elsewhere[0]} is no option but an argument: StationHold(.., {elsewhere[0]}=..)")
+            raise ConfigError(f"task: {elsewhere[0]} is an argument, not an option: StationHold(.., {elsewhere[0]}=..)")
         return super().__new__(cls, *given, **options)
 
     def __post_init__(self):
@@ -68,7 +68,7 @@ class EnvState(NamedTuple):
     camera: Any  # (B,) int
     command: Any  # (B, J) last bus command, rad
     tick: Any  # (B,) int
-    count: Any  # (B,) int, control steps of this episode, and those by which it is shorter than others
+    count: Any  # (B,) int, control steps of this episode, plus those by which it is shorter than others
     key: Any
     obs: Any  # (B, memory x n_obs + (memory - 1) x J)
     final_obs: Any
@@ -79,24 +79,24 @@ class EnvState(NamedTuple):
     truncated: Any  # (B,) bool, time is up
     distance: Any  # (B,) m, at the end of the step
     diverged: Any  # (B,) bool, episode dropped because of a non-finite state or action
-    launch: Any = None  # how the episodes began, for targets that move; None where they stay as in station holding
+    launch: Any = None  # starts of the episodes, for moving targets; None for fixed ones
 
 
 def layout_of(state: EnvState, fish: Any, shared: Any) -> EnvState:
-    """Tree of a state: `fish` in place of every array with a row for each fish, `shared` in place of the others."""
+    """Tree like a state, with `fish` for arrays with one row per fish, and `shared` for the others."""
     made = jax.tree.map(lambda _: fish, state)
     return made._replace(key=shared, current=made.current._replace(table=shared, cell=shared))
 
 
 class StationHold:
-    """The batched environment. `reset` and `step` are pure; jit them or call them inside a scan.
+    """Batched environment. `reset` and `step` are pure functions for use with jit and scan.
 
     Args:
         robot: a description, a TOML path or a shipped name.
         engine: "compiled" (extra `fast`, CPU), "planar" (gradients, GPU), "mjx", or an engine of this same robot. None takes
             "compiled" on a CPU with numba, else "planar"; `fishmj.engines.name_of(env.engine)` is its name.
-        water: for an engine by name, as `fishmj.water.choice` names it.
-        control_dt, command_path: seconds between two decisions, path of the commands between them; the robot's by default.
+        water: name in `fishmj.water.choice`, for an engine given by name.
+        control_dt, command_path: time between two decisions, s, and path of commands between them; by default the robot's.
         reward: weights of the paper's reward, wG, wD [1/m], wS [s2/rad2].
 
     Raises ConfigError, UnknownName: an invalid argument. MissingExtra: "compiled" without numba.
@@ -107,7 +107,7 @@ class StationHold:
         water=None, control_dt: float | None = None, command_path: str | None = None, **reward,
     ):  # fmt: skip
         if isinstance(engine, Options):
-            raise ConfigError("task: options stand where the engine is expected; write StationHold(robot, options=Options(..))")
+            raise ConfigError("task: got options as the engine; write StationHold(robot, options=Options(..))")
         options = checked_kind("task: options", options, Options) or Options()
         for name, weight in reward.items():
             if name in {one.name for one in fields(Options)}:
@@ -119,7 +119,7 @@ class StationHold:
         if isinstance(engine, str):
             robot = in_water(robot, water, who="the environment in JAX")
         elif water is not None:
-            raise ConfigError(f"task: water = {water!r} with an engine, whose fish is in its water already; leave it out")
+            raise ConfigError(f"task: water = {water!r} with an engine object, which already has a water; leave it out")
         robot = engines.with_effects(robot, options.effects)
         self.engine = engines.of(engine, robot)
         if not getattr(self.engine, "jittable", False):
@@ -133,7 +133,7 @@ class StationHold:
             )
         if self.robot.timing != robot.timing:
             raise ConfigError(
-                "task: the engine's robot has another timing; give control_dt and command_path with an engine's name"
+                "task: the engine's robot has another timing; give control_dt and command_path only with an engine's name"
             )
         robot = self.robot
         self.sensors = Sensors(robot)
@@ -147,9 +147,7 @@ class StationHold:
         self.moves = options.course != "station_hold"
         self.outside, self.own_reward = (getattr(self.course, name, None) for name in ("outside", "reward"))
         if self.own_reward is not None and reward:
-            raise ConfigError(
-                f"task {options.course}: has a reward of its own, without {', '.join(reward)}; leave the weights out"
-            )
+            raise ConfigError(f"task {options.course}: has its own reward, without weights {', '.join(reward)}; leave them out")
         task.warn_of_streams(robot, self.course, options.flow_bounds, options.randomisation)
         self.limit = task.episode_steps(options.seconds, self.course, robot)
         self.mask = jnp.asarray(task.visible(robot.n_joints, options.hide), jnp.float32)
@@ -162,7 +160,7 @@ class StationHold:
 
     @property
     def n_privileged(self) -> int:
-        """Width of a privileged critic's input besides the policy's input."""
+        """Width of a privileged critic's additional input."""
         return self.n_obs + 5
 
     @property
@@ -185,7 +183,7 @@ class StationHold:
 
         Raises ConfigError if `key` is not a key, or n not a whole number >= 1.
 
-        With `stagger` their clocks start at random times of the episode, so that they do not end together.
+        With `stagger` their clocks start at random times, so that the episodes do not end at the same time.
         """
         n = checked("reset: n", n, 1, whole=True)
         kind, shape = getattr(key, "dtype", float), getattr(key, "shape", None)
@@ -202,16 +200,16 @@ class StationHold:
         return state._replace(key=key)
 
     def step(self, state: EnvState, action) -> EnvState:
-        """One control step of 0.2 s with action (B, J), clipped to [-1, 1].
+        """Does one control step with actions (B, J), clipped to [-1, 1].
 
-        An episode with an action that is not finite is dropped like one whose physics diverges: `diverged`, and a fresh one
-        begins. Raises ConfigError if `state` is not from `reset` or `step`, or `action` is not an array of numbers of this shape.
+        An episode whose action is not finite, or whose physics diverges, is marked `diverged`, and a new one begins.
+        Raises ConfigError if `state` is not from `reset` or `step`, or `action` is not a numeric array of this shape.
         """
         n = len(checked_kind("task: state", state, EnvState, needed=True).count)
         kind = getattr(action, "dtype", None)
         real = kind is not None and any(jnp.issubdtype(kind, of) for of in (jnp.floating, jnp.integer, jnp.bool_))
         if not real or action.shape != (n, self.n_act):
-            raise ConfigError(f"task: action {shown_value(action)}; expected an array ({n}, {self.n_act}), one row a fish")
+            raise ConfigError(f"task: action {shown_value(action)}; expected an array ({n}, {self.n_act}), one row for each fish")
         return self._step(state, action)
 
     @partial(jax.jit, static_argnums=0)
@@ -229,7 +227,7 @@ class StationHold:
         distance = jnp.linalg.norm(trace.pose[:, -1, :2] - target, axis=-1)
         gain = self._gain(trace, target, distance, action, tick)
         out = (self.outside or task.outside)(jnp, trace.pose[:, -1])
-        if left := getattr(self.engine, "left", None):  # a tank of the flow solver ends before the task's bound
+        if left := getattr(self.engine, "left", None):  # tanks of the flow solver are smaller than the task's domain
             out = out | left(fish)
         terminated = out & ~bad
         truncated = (state.count + 1 >= self.limit) & ~terminated & ~bad
@@ -258,7 +256,7 @@ class StationHold:
         )  # fmt: skip
 
     def _target(self, launch, tick):
-        """Targets (B, 2) m at bus ticks (B,) since the episodes began; a staggered clock does not move them."""
+        """Targets (B, 2) m at bus ticks (B,) since the start of each episode, without the stagger."""
         return jnp.asarray(self.course.target(jnp, launch, tick * self.robot.timing.bus_dt), jnp.float32)
 
     def _gain(self, trace, target, distance, action, tick):

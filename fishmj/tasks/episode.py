@@ -1,18 +1,18 @@
-"""Episodes in NumPy: the task functions put together once, for dm_control and for Gymnasium.
+"""Episodes in NumPy, made of the task functions, for dm_control and Gymnasium.
 
     rules = TaskSpec("station_hold", TaskOptions(turbulence="gust"))
-    scenario = rules.scenario(rules.draws(rng, n=4))            # everything random about 4 episodes
+    scenario = rules.scenario(rules.draws(rng, n=4))            # random draws of 4 episodes
     episodes = Episodes(rules, engine="batch", n=4)
     episodes.begin(scenario);  obs = episodes.observation(normals);  result = episodes.step(action)
 
-`ControlLoop` is the sense-and-act loop for all callers that swim on an engine:
+`ControlLoop` is the sense-and-act loop of all callers that use an engine:
 
     loop = ControlLoop(robot, "batch")
     loop.start(pose, scenario)
-    obs = loop.observe(target, noise)          late and noisy, as from camera and encoders
+    obs = loop.observe(target, noise)          with latency and noise, as from camera and encoders
     trace = loop.act(commands)                 one control step of bus commands (B, T, J) rad
 
-`SensorWindow` alone serves dm_control's physics and the flow solver, which advance the fish themselves.
+dm_control's physics and the flow solver, which advance the fish themselves, use only `SensorWindow`.
 The functional JAX environment (`tasks.env`) is made from the same functions; a test holds all of them equal.
 """
 
@@ -35,19 +35,19 @@ from fishmj.water import flow
 from fishmj.water.choice import LBM, SELF_MADE, in_water, label
 from fishmj.water.flow import Current
 
-# values beyond these are taken for typing errors; beyond randomisation 1 a latency is negative, or cut
+# larger values are probably typing errors; with randomisation above 1 a latency could be negative
 LARGEST = {"intensity": 1, "flow_speed": 5, "randomisation": 1, "noise": 100, "seconds": 1e6}
 
 
 class SensorWindow(NamedTuple):
-    """Last bus ticks of B fish, newest last: as many as latency, the velocity filter and late encoders need."""
+    """Last bus ticks of B fish, newest last, as long as latency, velocity filter and delayed encoders need."""
 
     pose: np.ndarray  # (B, H, 3) m, rad
     joint: np.ndarray  # (B, K + 1, 2 J) angles and rates, rad, rad/s
 
     @classmethod
     def at_rest(cls, robot: Robot, sensors: Sensors, pose) -> "SensorWindow":
-        """Window of straight fish that have always been at poses (B, 3)."""
+        """Window of straight fish that have rested at poses (B, 3)."""
         poses = np.repeat(pose[:, None], task.history_length(robot), 1)
         return cls(poses, np.zeros((len(pose), sensors.behind + 1, 2 * robot.n_joints)))
 
@@ -57,7 +57,7 @@ class SensorWindow(NamedTuple):
 
 
 def slide(xp, window, rows):
-    """Window (B, W, C) moved on by new rows (B, T, C)."""
+    """Appends rows (B, T, C) to a window (B, W, C) and drops its oldest."""
     return xp.concatenate([window, rows], 1)[:, -window.shape[1] :]
 
 
@@ -70,10 +70,10 @@ class Scenario(NamedTuple):
 
 
 class ControlLoop:
-    """B fish on an engine, given as an engine or by name; None is the fastest one here (`engines.fastest`).
+    """Sense-and-act loop of B fish on an engine, given as an object or by name; None: `engines.fastest`.
 
     Attributes:
-        scenario: as given to `start`. fish: their state. window: memory of the sensors. count: (B,) control steps so far.
+        scenario: as given to `start`. fish: state of the fish. window: memory of the sensors. count: (B,) control steps so far.
     """
 
     scenario: Any
@@ -86,12 +86,12 @@ class ControlLoop:
         theirs, ours = label(getattr(self.engine, "robot", robot)), label(robot)
         if theirs != ours:
             raise ConfigError(
-                f"the engine's fish swims in water {theirs!r}, the task's in {ours!r}; make the engine of the same robot"
+                f"the engine's fish swims in water {theirs!r}, the task's in {ours!r}; make the engine from the task's robot"
             )
         self.ticks = engines.ticks_per(robot)[1]
 
     def start(self, pose, scenario) -> None:
-        """Begins at rest over ground at poses (B, 3) [m, rad], encoders at zero; scenario: a `Scenario` or more."""
+        """Starts at rest over ground at poses (B, 3) [m, rad], encoders at zero; scenario: has the fields of `Scenario`."""
         self.scenario = scenario
         self.fish = engines.at_rest(self.robot, pose)
         self.fish.q[:, 3:] = scenario.params.zero
@@ -99,13 +99,13 @@ class ControlLoop:
         self.count = np.zeros(len(pose), np.int64)
 
     def observe(self, target, noise) -> np.ndarray:
-        """Observations (B, 5 + 2 J) of targets (B, 2) m; noise: standard normals times the wanted strength, same shape."""
+        """Observations (B, 5 + 2 J) of targets (B, 2) m; noise: standard normal draws times the noise strength, same shape."""
         now = self.scenario
         senses = (self.window.pose, now.camera, self.window.joint)
         return task.observe_with_sensors(np, self.robot, self.sensors, now.params, *senses, target, noise)
 
     def inform(self, controller) -> None:
-        """Tells a controller with `set_flow` the true flow (B, 2) m/s at each fish's reference point, in its body axes."""
+        """Passes the true flow (B, 2) m/s at each reference point, in body axes, to a controller with `set_flow`."""
         if (told := getattr(controller, "set_flow", None)) is None:
             return
         q = self.fish.q
@@ -121,7 +121,7 @@ class ControlLoop:
         return self._seen(trace)
 
     def acting(self, commands) -> Steps[Trace]:
-        """Does the work of `act`, pausing whenever the engine waits for a device and another loop could continue."""
+        """Does `act` as a generator, which yields while the engine waits for a device, so that other loops can continue."""
         advancing = getattr(self.engine, "advancing", None)
         if advancing is None:
             return self.act(commands)
@@ -136,7 +136,7 @@ class ControlLoop:
         return trace
 
     def advance(self, fish: FishState, commands) -> tuple[FishState, Trace]:
-        """Does the engine's step from `fish`; returns its trace as float64 NumPy and remembers nothing."""
+        """Does the engine's step from `fish`, without changing this object; returns state and trace as float64 NumPy."""
         now = self.scenario
         fish, trace = self.engine.advance(fish, commands, now.params, now.current, self.count * self.ticks)
         return fish, Trace(*(np.asarray(a, float) for a in trace))
@@ -144,21 +144,21 @@ class ControlLoop:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawOptions:
-    """Ranges of the random draws of episodes; base of `TaskOptions` and of the options of the JAX environment (`tasks.env`)."""
+    """Ranges of the random draws of episodes; base of `TaskOptions` and of `tasks.env.Options`."""
 
     turbulence: str = "default"
-    intensity: Any = (0.0, 0.10)  # TI, a number or the bounds of a draw for each episode
-    randomisation: float = 1.0  # 0 nominal fish, 1 the paper's ranges
-    noise: float = 1.0  # of the sensors, 1 the paper's
-    flow_speed: Any = None  # m/s, a number or the bounds of a draw for each episode; None: the task's own
+    intensity: Any = (0.0, 0.10)  # TI, a number, or bounds of a draw for each episode
+    randomisation: float = 1.0  # 0: nominal fish, 1: the paper's ranges
+    noise: float = 1.0  # factor on the sensor noise, 1: the paper's
+    flow_speed: Any = None  # m/s, a number, or bounds of a draw for each episode; None: the task's own
     flow_exponent: float = 1.0  # e of speed = low + (high - low) u^e, u uniform: 2 draws slow streams more often
     seconds: float | None = None  # length of an episode; None: the task's own
     box: str = "train"  # which turbulence table: train, tune or judge
-    effects: tuple[str, ...] = ()  # of the catalogue, drawn in typical sizes for each episode, `randomisation` times as large
-    at_target: float = 0.0  # share of episodes that begin at the target and last 8 s, half of them headed downstream
+    effects: tuple[str, ...] = ()  # drawn in typical sizes times `randomisation` for each episode
+    at_target: float = 0.0  # share of episodes that start at the target and last 8 s, half of them headed downstream
 
     def __new__(cls, *given, **options):
-        """Refuses what the class does not take in one line, before Python does."""
+        """Raises ConfigError or UnknownName for wrong arguments, instead of Python's TypeError."""
         if given:
             raise ConfigError(f"task: {cls.__name__} got {shown_value(given[0])} without its name; write {cls.__name__}(NAME=..)")
         for name in options:
@@ -181,11 +181,11 @@ class DrawOptions:
         checked("task: at_target", self.at_target, 0, 1)
         checked("task: flow_exponent", self.flow_exponent, 0.1, 10)
         if self.flow_exponent != 1 and self.flow_bounds is not None and self.flow_bounds[0] == self.flow_bounds[1]:
-            one = f"flow_speed = {self.flow_bounds[0]}, one speed that is not drawn"
+            one = f"flow_speed = {self.flow_bounds[0]}, a constant"
             raise ConfigError(f"task: flow_exponent = {self.flow_exponent} with {one}; leave it out, or give (low, high)")
 
     def begins(self, course: str) -> None:
-        """Raises ConfigError if the task so named has no episodes that could begin at the target."""
+        """Raises ConfigError for `at_target` with a course other than station_hold."""
         if self.at_target and course != "station_hold":
             raise ConfigError(f"task: at_target = {self.at_target} of the task {course}; expected station_hold, or 0")
 
@@ -224,7 +224,7 @@ class TaskOptions(DrawOptions):
 
     def fish(self) -> Robot:
         """The robot with this setting's timing."""
-        can = (*SELF_MADE, LBM) if self.water is None else SELF_MADE  # lbm: chosen already, by who has the tanks
+        can = (*SELF_MADE, LBM) if self.water is None else SELF_MADE  # lbm: already chosen by a caller that has the tanks
         robot = in_water(load_robot(self.robot), self.water, can=can, who="this environment")
         return engines.with_effects(with_timing(robot, self.control_dt, self.command_path, "task"), self.effects)
 
@@ -247,7 +247,7 @@ def options_for(task: Any, given: dict, also: Iterable[str] = ()) -> tuple[TaskO
 
 
 class Draws(NamedTuple):
-    """Uniform numbers in [0, 1) behind B episodes."""
+    """Uniform draws in [0, 1) that determine B episodes."""
 
     start: np.ndarray  # (B, 7)
     flow: np.ndarray  # (B, 5)
@@ -255,7 +255,7 @@ class Draws(NamedTuple):
 
 
 class EpisodeDraw(NamedTuple):
-    """Everything about B episodes that is fixed before the first step."""
+    """Draws of B episodes that are fixed before the first step."""
 
     launch: EpisodeStart
     current: Current
@@ -264,7 +264,7 @@ class EpisodeDraw(NamedTuple):
 
 
 class TaskSpec:
-    """One task with its setting. name: of COURSES, or the user's own. Raises UnknownName, ConfigError, OwnCodeError."""
+    """Task with its options. name: in COURSES, or the user's own. Raises UnknownName, ConfigError, OwnCodeError."""
 
     def __init__(self, name: Any, setting: TaskOptions, **course):
         self.course = course_of(name, **course)
@@ -276,7 +276,7 @@ class TaskSpec:
         if getattr(self.course, "reward", None) is not None and (
             given := [w for w in task.WEIGHTS if getattr(setting, w) is not None]
         ):
-            raise ConfigError(f"task {self.name}: has a reward of its own, without {', '.join(given)}; leave the weights out")
+            raise ConfigError(f"task {self.name}: has its own reward, without weights {', '.join(given)}; leave them out")
         self.steps, self.ticks = engines.ticks_per(self.robot)
         self.dt = self.robot.timing.control_dt
         task.warn_of_streams(self.robot, self.course, setting.flow_bounds, setting.randomisation)
@@ -291,7 +291,7 @@ class TaskSpec:
         return Draws(*(rng.random((n, k)) for k in self._sizes))
 
     def scenario(self, draws: Draws, **fixed) -> EpisodeDraw:
-        """Episodes of these draws; `fixed` replaces pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
+        """Episodes from draws; fixed: given pose (B, 3), target (B, 2), speed (B,) or direction (B,) of the start."""
         s = self.setting
         draws = draws._replace(start=task.skewed(np, draws.start, s.flow_exponent))
         launch = self.course.launch(np, draws.start)
@@ -302,7 +302,7 @@ class TaskSpec:
             start = start._replace(speed=low + (high - low) * draws.start[:, 5])
         direction = fixed.pop("direction", s.flow_direction)
         if direction is not None:
-            if getattr(self.course, "heads_by_flow", False):  # the heading is given against the flow: it turns along
+            if getattr(self.course, "heads_by_flow", False):  # the heading is relative to the flow, and turns with it
                 turned = (direction - start.direction)[:, None] * np.array([0.0, 0.0, 1.0])
                 start = start._replace(pose=start.pose + turned)
             start = start._replace(direction=direction + 0.0 * start.direction)
@@ -344,7 +344,7 @@ class StepResult(NamedTuple):
 
 
 class Episodes(ControlLoop):
-    """n running episodes on a batched engine. Ends are only reported: call `begin` with the rows to restart.
+    """n running episodes on a batched engine, without automatic reset: call `begin` with the rows to restart.
 
     Attributes:
         diverged: (n,) bool, the physics of these fish failed in the last step. command: (n, J) last bus command, rad.
@@ -366,9 +366,9 @@ class Episodes(ControlLoop):
             self.scenario, self.fish, self.window, self.command, self.count = merged
 
     def step(self, action, alone: bool = False) -> StepResult:
-        """Does one control step with action (n, J), clipped to [-1, 1]; alone: (J,), of one fish.
+        """Does one control step with actions (n, J), clipped to [-1, 1]; alone: action (J,) of a single fish.
 
-        Raises ConfigError for another shape, or if not finite.
+        Raises ConfigError for another shape or non-finite actions.
         """
         rules = self.rules
         shape = (rules.n_act,) if alone else (self.n, rules.n_act)
@@ -421,7 +421,7 @@ class Episodes(ControlLoop):
 
 
 def _at_rest(fish: FishState, rows) -> FishState:
-    """The same fish with `rows` (bool) stopped, straight, and all their commands at zero."""
+    """Fish with `rows` (bool) stopped and straightened, and their commands set to zero."""
     straight = np.concatenate([fish.q[:, :3], np.zeros_like(fish.q[:, 3:])], -1)
     calm = FishState(straight, 0.0, 0.5, 0.0, 0.0)
     return FishState(*(_pick(rows, new, old) for new, old in zip(calm, fish, strict=True)))
@@ -432,7 +432,7 @@ def _pick(rows, new, old):
 
 
 def _merged(old, new, rows):
-    """Trees of arrays (n, ...) with `rows` replaced; arrays that the batch shares (flow table, cell) stay."""
+    """Replaces `rows` in trees of arrays (n, ...); arrays shared by the batch (flow table, cell) stay."""
     if isinstance(old, Current):
         parts = [_merged(a, b, rows) for a, b in zip(old[:5], new[:5], strict=True)]
         return Current(*parts, *old[5:])

@@ -1,10 +1,10 @@
-"""The names of our environments in Gymnasium, registered as soon as both packages are imported, in either order.
+"""Gymnasium ids of fishmj's environments, registered as soon as both packages are imported, in either order.
 
     import fishmj, gymnasium
     env = gymnasium.make("fishmj/StationHold-v0")
 
-Gymnasium 1.x loads no entry points of other packages. `import fishmj` therefore registers the names at once if Gymnasium is
-loaded, and otherwise waits for its import. It imports nothing by itself.
+Gymnasium 1.x does not load entry points of other packages. `import fishmj` therefore registers the ids at once if Gymnasium is
+loaded, and otherwise after its import. It does not import Gymnasium itself.
 """
 
 import sys
@@ -19,7 +19,7 @@ IDS = {
 
 
 def register() -> None:
-    """Puts the environments into Gymnasium's registry; a second call changes nothing."""
+    """Adds the environments to Gymnasium's registry; a second call changes nothing."""
     import gymnasium
 
     for name, task in IDS.items():
@@ -35,14 +35,14 @@ def register() -> None:
 def announce() -> None:
     """Registers now, or as soon as Gymnasium has been imported."""
     if "gymnasium" in sys.modules:
-        if hasattr(sys.modules["gymnasium"], "registry"):  # not in the middle of its own import
+        if hasattr(sys.modules["gymnasium"], "registry"):  # its import has finished
             register()
     elif not any(isinstance(finder, _Wait) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Wait())
 
 
 class _Wait(MetaPathFinder):
-    """Import hook that finds nothing itself: it lets the import of Gymnasium continue, and registers after it."""
+    """Import hook that registers the environments after the import of Gymnasium."""
 
     def find_spec(self, fullname, path=None, target=None):
         if fullname != "gymnasium":

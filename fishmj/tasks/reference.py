@@ -1,11 +1,11 @@
-"""Courses: start of a fish and path of its target, fishmj's and the user's own. Pure functions, one small class for each task.
+"""Courses: start of the fish and path of its target, fishmj's and the user's own. One class of pure functions for each task.
 
-    station_hold      paper, Initial State Distribution: fish, target, heading and flow drawn; the target stays
+    station_hold      paper, Initial State Distribution: fish, target, heading and flow are drawn; the target is fixed
     figure_eight      x = sin p cos p, y = sin p, followed at a constant speed: p(s) by arc length s
     angle_of_attack   the fish starts on its target, turned by a given angle from upstream
 
-The paper states "constant speed" for the figure eight. Its parameter p does not give that (0.66 to 1.41 per unit of p), but arc
-length does.
+The paper states "constant speed" for the figure eight. At constant rate of its parameter p the speed would vary (ds/dp is 0.66 to
+1.41), so the target moves by arc length.
 """
 
 import inspect
@@ -25,12 +25,12 @@ from fishmj.base.units import wrap
 from fishmj.engines import Trace
 from fishmj.tasks.station_hold import N_START, Start, draw_start, outside
 
-SLOWEST = 1e-3  # m/s of the figure eight, and part of its cycle
+SLOWEST = 1e-3  # least speed of the figure eight, m/s, and least share of its cycle
 POINTS = 4096  # of the arc-length table; its error is below 1e-6 m
 LONGEST = 1e6  # s
-SHORT = 8.0  # s, episodes that begin at the target: a fish that waits loses more of them than of a long one
-WITHIN = pi / 4  # rad, from downstream
-TRIED = 5  # episodes of the trial run
+SHORT = 8.0  # s, length of episodes that begin at the target; in short ones, waiting costs a larger part of the return
+WITHIN = pi / 4  # rad, largest heading from downstream
+TRIED = 5  # number of episodes that test a user's task
 UNASKED = ("observe", "observation", "observations", "get_observation", "get_obs", "observation_space", "observation_spec")
 SHAPES = {"pose": (3,), "target": (2,), "speed": (), "direction": (), "phase": (), "seconds": ()}  # without the batch axis
 
@@ -39,17 +39,17 @@ class EpisodeStart(NamedTuple):
     """Start of B episodes."""
 
     start: Start
-    phase: Any  # (B,) m, arc length of the target's path already behind it; 0 where the target stays
+    phase: Any  # (B,) m, arc length of the target at the start; 0 for fixed targets
     seconds: Any = None  # (B,) s, length of each episode, at most the task's; None: the task's
 
 
 class StepTruth(NamedTuple):
-    """Input of a reward: one control step of B episodes, T bus ticks. True values, which no policy observes."""
+    """True state of one control step of B episodes (T bus ticks), the input of a reward; policies do not observe it."""
 
     trace: Trace  # pose (B, T, 3) m, rad; joint, rate (B, T, J) rad, rad/s; velocity (B, T, 3) over ground; power (B, T) W
     target: Any  # (B, 2) m, at the end of the step
     distance: Any  # (B,) m, to it
-    action: Any  # (B, J) in [-1, 1], as it acts: clipped
+    action: Any  # (B, J), clipped to [-1, 1]
     time: Any  # (B,) s since the episode began, at the end of the step
 
 
@@ -61,9 +61,9 @@ def episode_lengths(xp, launch: EpisodeStart, limit: int, dt: float):
 
 
 def begun_at_target(xp, launch: EpisodeStart, uniforms, share: float, longest: float) -> EpisodeStart:
-    """Returns starts of which a share, those with the least of uniforms[:, 3], begins at its target and lasts SHORT.
+    """Returns starts of which a share, those with the smallest uniforms[:, 3], begins at the target and lasts SHORT.
 
-    Half of these head WITHIN of downstream, from where a fish that cannot sense the stream settles last; the others anywhere.
+    Half of these head downstream within WITHIN, the hardest case for a fish that cannot sense the stream; the others anywhere.
     longest: length of the other episodes, s.
     """
     u, start = uniforms[:, 3], launch.start
@@ -78,7 +78,7 @@ def begun_at_target(xp, launch: EpisodeStart, uniforms, share: float, longest: f
 
 @dataclass(frozen=True, kw_only=True)
 class StationHoldReference:
-    """Course: swim to a target and keep it."""
+    """Course: swim to a fixed target and hold station there."""
 
     seconds: float = constant("task", "episode_time")
 
@@ -93,10 +93,10 @@ class StationHoldReference:
 
 @dataclass(frozen=True, kw_only=True)
 class AngleOfAttackReference(StationHoldReference):
-    """Course: start on the target, turned from upstream. angle in rad; None draws one of the paper's four."""
+    """Course: start on the target at an angle from upstream. angle: rad; None draws one of the paper's four."""
 
-    decides = ("pose", "target")  # what no caller may fix of a start
-    heads_by_flow = True  # the start's heading is given against the flow
+    decides = ("pose", "target")  # parts of a start that callers may not fix
+    heads_by_flow = True  # the start's heading is relative to the flow
 
     angle: float | None = None
 
@@ -175,9 +175,9 @@ COURSES = {"station_hold": StationHoldReference, "figure_eight": FigureEightRefe
 
 
 def named(task: Any) -> Any:
-    """Task that a caller gave: a name of COURSES unchanged, `module:Name` loaded, a class or object unchanged.
+    """Returns a name of COURSES, class or object unchanged, and loads `module:Name`.
 
-    For an option of the user or an argument of a Python call; runs the code. Raises UnknownName, OwnCodeError.
+    It runs that code: use it for text from the user or a Python caller only. Raises UnknownName, OwnCodeError.
     """
     if not isinstance(task, str) or task in COURSES:
         return task
@@ -185,9 +185,9 @@ def named(task: Any) -> Any:
 
 
 def course_of(task: Any, **options: Any) -> Any:
-    """Course of a task. task: name of COURSES, text of one that the user loaded in this process, class or object.
+    """Course of a task. task: name of COURSES, reference that the user loaded in this process, class or object.
 
-    Raises UnknownName: no such task; text that was not loaded is never run; OwnCodeError: it is not a task.
+    Raises UnknownName: no such task, or a reference that was not loaded, which is never run; OwnCodeError: not a task.
     """
     if isinstance(task, str) and task in COURSES:
         return COURSES[task](**options)
@@ -206,7 +206,7 @@ def options_of(task: Any) -> set[str]:
 
 
 class OwnReference:
-    """A task of the user's own with the interface of a course; every result is checked.
+    """Wraps the user's own task as a course, and checks every result.
 
         class LineFollow:
             seconds = 20.0                          length of an episode
@@ -227,7 +227,9 @@ class OwnReference:
         if inspect.isclass(task):
             task = plugins.call(f"{self.what}(options {options})", task, **options)
         elif options:
-            raise OwnCodeError(f"{self.what}: is an object, not a class, so it takes no options; got {', '.join(options)}")
+            raise OwnCodeError(
+                f"{self.what}: is an object, which takes no options; got {', '.join(options)}; name a class, or leave them out"
+            )
         self.task = task
         for call, count, needed in (
             ("launch(xp, uniforms)", 2, True),
@@ -240,8 +242,8 @@ class OwnReference:
                 plugins.takes(self.what, function, call, count)
         if theirs := [name for name in UNASKED if hasattr(task, name)]:
             raise OwnCodeError(
-                f"{self.what}: has {theirs[0]}, which nothing would call: the policy sees the 5 + 2 J observations of fishmj;"
-                " put what matters into launch, target and reward, and take it out (docs/simulate/your_own_code.md)"
+                f"{self.what}: has {theirs[0]}, which is never called: policies see fishmj's 5 + 2 J observations;"
+                " remove it, and use launch, target and reward (docs/simulate/your_own_code.md)"
             )
         self.seconds: Any = getattr(task, "seconds", None)
         if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float) or not 0 < self.seconds <= LONGEST:
@@ -258,7 +260,7 @@ class OwnReference:
         found = plugins.call(f"{self.what}: launch", self.task.launch, xp, uniforms)
         if not isinstance(found, EpisodeStart):
             raise OwnCodeError(
-                f"{self.what}: launch gave {type(found).__name__}; "
+                f"{self.what}: launch returned {type(found).__name__}; "
                 "expected EpisodeStart(Start(pose, target, speed, direction), phase)"
             )
         given = {name: getattr(found.start, name) for name in Start._fields} | {"phase": found.phase}
@@ -281,11 +283,11 @@ class OwnReference:
         found = plugins.call(f"{self.what}: outside", self.task.outside, xp, pose)
         self._checked(found, "outside", pose.shape[:-1])
         if np.dtype(found.dtype) != bool:
-            raise OwnCodeError(f"{self.what}: outside gave {found.dtype}; expected bool, True where the episode ends")
+            raise OwnCodeError(f"{self.what}: outside returned {found.dtype}; expected bool, True where the episode ends")
         return found
 
     def _checked(self, value, where: str, shape: tuple):
-        """Returns the value if it has the shape and, as far as that is known, is finite. Raises OwnCodeError."""
+        """Returns the value; raises OwnCodeError if it has another shape or (outside of tracing) is not finite."""
         got = getattr(value, "shape", None)
         if got != shape:
             raise OwnCodeError(f"{self.what}: {where} has shape {got}, expected {shape}, batch axis first")
@@ -294,7 +296,7 @@ class OwnReference:
         return value
 
     def _try(self) -> None:
-        """Tries one start, both ends of the target's path and one reward in NumPy, before the task is used."""
+        """Tests starts, both ends of the target's path and a reward in NumPy, before the task is used."""
         launch = self.launch(np, np.random.default_rng(0).random((TRIED, N_START)))
         for t in (0.0, float(self.seconds)):
             target = self.target(np, launch, np.full(TRIED, t))

@@ -1,10 +1,10 @@
-"""Sensors of one robot, and the logs of their readings: measurement effects, delays, noise.
+"""Sensor models of a robot, measurement effects, delays and noise, and logs of their readings.
 
     poses     frames of the camera as the tracker reports them: camera_scale, marker_offset, ..
     joints    encoder readings: offset, and the delay of the clock `joint`, linear between bus ticks
-    ticks     delays of the clocks `pose` and `velocity`, s, in whole bus ticks, rounded up as the camera's latency is
+    ticks     delays of the clocks `pose` and `velocity` [s], rounded up to whole bus ticks like the camera's latency
 
-Without such effects every function returns its input. Rewards, ends of episodes and logs of the truth do not use this module.
+Without such effects every function returns its input. Rewards, terminations and true-state logs do not use this module.
 """
 
 from math import ceil, radians
@@ -20,7 +20,7 @@ from fishmj.mjcf.description import Robot
 
 NOTE = (
     "simulated; joint: encoders, pose: the tracker's frame that arrives at each stamp, with the task's noise and camera latency"
-    " (sigma, latency); power and truth: exact; obs: what the controller saw, other draws of the same noise"
+    " (sigma, latency); power and truth: exact; obs: observations of the controller, with other draws of the same noise"
 )
 
 
@@ -45,7 +45,7 @@ def estimate(xp, poses, dt: float):
 
 
 def delayed(xp, history, frames, window: int):
-    """The `window` newest poses of history (B, H, 3), newest last, that have arrived `frames` (B,) int ticks late."""
+    """The `window` newest poses that have arrived, of history (B, H, 3), newest last, with delay `frames` (B,) int ticks."""
     rows = xp.arange(history.shape[0])[:, None]
     columns = history.shape[1] - window - frames[:, None] + xp.arange(window)[None, :]
     return history[rows, columns]
@@ -55,8 +55,8 @@ class Sensors:
     """The sensors of `robot`.
 
     Attributes:
-        behind: number of bus ticks of encoder readings to keep besides the newest.
-        frames: number of camera frames to keep besides the nominal ones.
+        behind: number of older encoder readings to keep, bus ticks.
+        frames: number of additional camera frames to keep.
     """
 
     def __init__(self, robot: Robot):
@@ -69,7 +69,7 @@ class Sensors:
         self.measured = active if active is not None and any(e.measure for e in active.effects) else None
 
     def ticks(self, xp, seconds, rows, clock: str):
-        """Latency (B,) s plus the delay of the effects with parameters `rows` (B, P), in whole ticks, 0 at least."""
+        """Latency (B,) s plus the effects' delay with parameters `rows` (B, P), in whole ticks, at least 0."""
         return xp.maximum(xp.ceil((seconds + self.added.late(xp, rows, clock)) / self.tick - 1e-6), 0.0).astype("int32")
 
     def poses(self, xp, rows, history):
@@ -121,15 +121,15 @@ def sigmas(joints: int, strength: float = 1.0) -> dict[str, float]:
 def sensed(
     robot: Robot, t, pose, joint, rate, *, start, camera: int, effects, random: np.random.Generator, strength: float = 1.0
 ) -> dict[str, dict[str, np.ndarray]]:
-    """Tables `joint` and `pose` of one swim, as late and as noisy as the task's own observations.
+    """Tables `joint` and `pose` of one swim, with the latency and noise of the task's observations.
 
-    joint: encoders at the end of every bus tick. pose: the tracker's frame that arrives then, which is that of `camera` ticks
-    before; until the first frame arrives it is the start pose. An observation has other draws of the same noise: it comes from a
-    frame in the body's axes, once a control step.
+    joint: encoders at the end of every bus tick. pose: the tracker's frame that arrives then, taken `camera` ticks before; the
+    start pose until the first frame arrives. Observations have other draws of the same noise, in body axes, once per control
+    step.
 
     Args:
         t: (T,) s, ends of the bus ticks. pose: (T, 3) m, rad; joint, rate: (T, J) rad, rad/s, then.
-        start: (3,) pose of the fish before the first tick, straight and at rest. camera: its latency in bus ticks.
+        start: (3,) pose before the first tick, of a straight fish at rest. camera: latency in bus ticks.
         effects: (P,) parameters of the robot's effects. random: draws the noise. strength: factor on the task's noise.
     """
     sensors, count, joints = Sensors(robot), len(t), robot.n_joints

@@ -2,9 +2,9 @@
 
     s = [q, v, w, J, K]                 11 numbers in the body frame: target, velocity over ground, yaw rate, joints, rates
     a in [-1, 1]^3 -> +-60 deg          desired joint angles every 0.2 s, no central pattern generator
-    r = wG / (1 + wD d) - wS |K|^2      d distance to the target; |K|^2 averaged over the step's bus ticks, so that no motion
-                                        between the samples is missed
-Nothing here draws random numbers: draws come in as arrays, so NumPy, JAX and every engine share one definition.
+    r = wG / (1 + wD d) - wS |K|^2      d distance to the target; |K|^2 averaged over the step's bus ticks, to include motion
+                                        within a step
+Random draws are arguments, so that NumPy, JAX and every engine share one definition.
 """
 
 from math import ceil, pi, radians
@@ -38,7 +38,7 @@ class Start(NamedTuple):
 
 
 def draw_start(xp, uniforms) -> Start:
-    """Initial distribution of the paper from uniforms (B, 7): fish and target in the arena, heading and flow direction free."""
+    """Initial state distribution of the paper, from uniforms (B, 7): positions in the arena, any heading and flow direction."""
     arena, (slow, fast) = constant("task", "arena"), constant("task", "flow_speed")
     u = uniforms
     return Start(
@@ -50,7 +50,7 @@ def draw_start(xp, uniforms) -> Start:
 
 
 def skewed(xp, uniforms, exponent: float):
-    """Uniforms (B, 7) of `draw_start` with that of the speed to this power: above 1, slow streams are drawn more often."""
+    """Uniforms (B, 7) for `draw_start` with that of the speed to this power; above 1 favours slow streams."""
     return uniforms if exponent == 1 else xp.concatenate([uniforms[:, :5], uniforms[:, 5:6] ** exponent, uniforms[:, 6:]], -1)
 
 
@@ -65,8 +65,8 @@ def n_fish(robot: Robot, effects=()) -> int:
 def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), stream=None) -> tuple[FishParams, Any]:
     """Randomised fish from uniforms (B, n_fish): masses, servo gains, joint zeros, both latencies, effects, a family's water.
 
-    strength 0 gives the nominal fish with nominal latencies, 1 the paper's ranges and effects of typical size. Effects of the
-    robot that are not named keep their calibrated values. In a stream (B,) m/s a family draws waters in which the fish can hold.
+    strength: 0 gives the nominal fish with nominal latencies, 1 the paper's ranges and effects of typical size. Other effects of
+    the robot keep their calibrated values. stream: (B,) m/s; a family then draws waters in which the fish can hold station.
 
     Returns:
         (FishParams, camera delay in bus ticks (B,) int).
@@ -104,7 +104,7 @@ def draw_fish(xp, robot: Robot, uniforms, strength: float = 1.0, effects=(), str
 
 
 def warn_of_streams(robot: Robot, course, bounds, strength: float = 1.0) -> None:
-    """Warns once where a family of waters has no choice even in the slowest stream; bounds (2,) m/s, None: the course's own."""
+    """Warns once if the slowest stream leaves only one water of a family; bounds: (2,) m/s, None: those of the course."""
     if strength > 0 and (family := family_in(robot)) is not None:
         slowest = course.launch(np, np.zeros((1, N_START))).start.speed[0] if bounds is None else bounds[0]
         family.warn_beyond(float(slowest))
@@ -136,13 +136,13 @@ def noise_scale(robot: Robot):
 
 def input_scale(joints: int, memory: int = 1) -> np.ndarray:
     """Divisors of a policy's whole input: observation, then `memory` - 1 pairs (action, observation)."""
-    # fixed numbers, no running statistics: a policy file holds them, and the robot uses the same divisors as training
+    # constants instead of running statistics, so that a policy file can hold them, and the robot scales as in training
     one = np.repeat([DIVISORS[group] for group in GROUPS], [*spans(joints).values()])
     return np.concatenate([one] + [np.concatenate([np.ones(joints), one])] * (memory - 1))
 
 
 def mirror_signs(joints: int, memory: int = 1) -> np.ndarray:
-    """Signs that turn a policy's whole input into that of the fish's mirror image; an action's mirror image is its negative."""
+    """Signs that mirror a policy's whole input; the mirror image of an action is its negative."""
     side = {"target": [1.0, -1.0], "velocity": [1.0, -1.0]}
     one = np.concatenate([side.get(group, [-1.0] * width) for group, width in spans(joints).items()])
     return np.concatenate([one] + [np.concatenate([-np.ones(joints), one])] * (memory - 1))
@@ -170,7 +170,7 @@ def history_length(robot: Robot) -> int:
 
 
 def camera_ticks(robot: Robot) -> int:
-    """Longest camera latency of this robot in bus ticks, its own or a randomised one, without effects."""
+    """Longest camera latency of this robot, nominal or randomised, without effects, in bus ticks."""
     longest = robot.timing.drawn_latency("camera_latency")[1]
     return max(LEAST_CAMERA_TICKS, ceil(longest / robot.timing.bus_dt - 1e-6))
 
@@ -190,8 +190,8 @@ def observe(xp, robot: Robot, history, camera, joint, rate, target, noise, slow=
         camera: (B,) int, camera latency in ticks.
         joint, rate: (B, J) encoder angles and rates, rad, rad/s.
         target: (B, 2) m, world.
-        noise: (B, 5 + 2 J) standard normal times the wanted strength.
-        slow: (B,) int, ticks by which velocities lag behind the poses that they come with; None for no lag.
+        noise: (B, 5 + 2 J) standard normal draws times the noise strength.
+        slow: (B,) int, ticks by which velocities lag behind the poses; None for no lag.
 
     Returns:
         (B, 5 + 2 J): target in the body frame (2), velocity over ground in the body frame (2), yaw rate, J, K.
@@ -224,8 +224,8 @@ def outside(xp, pose):
 def chunk(xp, robot: Robot, previous, action):
     """Bus commands of one control step: previous (B, J) last command [rad], action (B, J), clipped to [-1, 1].
 
-    `linear` interpolates over the step, `hold` sends the new angles at once, `move_time` also interpolates on the bus (the
-    servo itself then moves evenly between bus commands).
+    `linear` interpolates over the step, `hold` sends the new angles at once, `move_time` sends the same commands as `linear`, and
+    the servo also interpolates between them.
 
     Returns:
         (B, T, J) rad.
@@ -239,9 +239,9 @@ def chunk(xp, robot: Robot, previous, action):
 
 
 def episode_steps(stated: float | None, course, robot: Robot) -> int:
-    """Number of control steps of an episode of the stated seconds; None: those that cover the seconds of its course.
+    """Number of control steps of an episode of `stated` seconds; None: enough for the seconds of its course.
 
-    Raises ConfigError: the stated seconds are no multiple of a control step.
+    Raises ConfigError: the stated time is not a multiple of the control step.
     """
     if stated is not None:
         whole_steps("task: seconds", stated, robot)
@@ -249,7 +249,7 @@ def episode_steps(stated: float | None, course, robot: Robot) -> int:
 
 
 def whole_steps(where: str, seconds: float, robot: Robot) -> None:
-    """Raises ConfigError if a stated time is no multiple of the robot's control step; begins with `where`."""
+    """Raises ConfigError if `seconds` is not a multiple of the robot's control step; where: start of the message."""
     dt = robot.timing.control_dt
     if (steps := round(seconds / dt)) < 1 or abs(steps * dt - seconds) > 1e-6 * seconds:
         near = " or ".join(f"{k * dt:g}" for k in dict.fromkeys((max(1, int(seconds / dt)), int(seconds / dt) + 1)))

@@ -1,4 +1,4 @@
-"""The waters that a fish can swim in, by one set of names in every verb and every function.
+"""Choice of the water in which a fish swims, by the same names in all commands and functions.
 
     fitted       strips and a learnt residual, fitted to the flow solver for this body; the default wherever the robot has one
     structured   strips with the description's own coefficients
@@ -10,8 +10,8 @@
 
     choice = chosen(robot, None)      WaterChoice(kind, robot in that water, one line that says which it is)
 
-A description may state its water, `[water] model`; then that one is the default. `robot.water["model"]` holds the chosen water, a
-kind or the name of the fitted water; the key is absent until a water is chosen.
+A description may state its default water as `[water] model`. `robot.water["model"]` holds the chosen water, a kind or the name of
+a fitted water; the key is absent until a water is chosen.
 """
 
 from collections.abc import Collection
@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from fishmj.water.water_family import WaterFamily
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
-FAMILY = "family"  # the family of the robot's name
+FAMILY = "family"  # the family with the robot's name
 FAMILY_SCHEMA = "fishmj.water-family/1"
-OWN = "own"  # in `robot.water`: the table of the description
-DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients that are zero in air
+OWN = "own"  # key in `robot.water` of the description's own table
+DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients, zero in air
 NO_FORCE = ("model", "stations", "residual")  # keys of `[water]` that a fitted water does not replace
-KE = 0.5  # ke of the shipped descriptions, beside the shape's
-SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine swims by itself, without the flow solver
-SOLVED = (HYBRID, LBM)  # those that need it
+KE = 0.5  # ke of the shipped descriptions
+SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine supports without the flow solver
+SOLVED = (HYBRID, LBM)  # waters that need the flow solver
 HELP = (
-    "fitted: strips and learnt residual fitted to the flow solver for this body, the default where there is one; family: each"
-    " randomised fish draws a water between several fits; structured: the description's own coefficients; none: air; a fitted"
-    " water by name (NAME-base: the strip model fitted alone) or .toml file"
+    "water. fitted: strips and learnt residual fitted to the flow solver for this body, the default if there is a fit; family:"
+    " each randomised fish draws a water between several fits; structured: the description's own coefficients; none: air; or a"
+    " fitted water by name (NAME-base: without the residual) or .toml file"
 )
 
 
@@ -51,18 +51,18 @@ NOT_FITTED = "none is fitted for this body"
 FIT_IT = "fishmj hydro_fit --fish FILE"  # of its description: a shipped robot has a fitted water
 RANDOM_WATER = "--randomise-effects crossflow_drag,quadratic_drag,tail_normal_force"  # random forces without any fit
 INSTEAD = {
-    HYBRID: "hybrid is for Sim, suite.load, `fishmj evaluate` and `fishmj play`",
-    LBM: "lbm is for suite.load, `fishmj evaluate` and `fishmj train --engine lbm`",
-    NONE: "none is for Sim and the engines",
+    HYBRID: "hybrid works in Sim, suite.load, `fishmj evaluate` and `fishmj play`",
+    LBM: "lbm works in suite.load, `fishmj evaluate` and `fishmj train --engine lbm`",
+    NONE: "none works in Sim and the engines",
 }
 
 
 class WaterChoice(NamedTuple):
-    """A water for one robot."""
+    """Chosen water of one robot."""
 
     kind: str  # of KINDS
     robot: Robot  # with the coefficients and the name of its water
-    said: str  # one line for people
+    said: str  # description in one line
 
     def within(self, can: Collection[str], who: str) -> "WaterChoice":
         """Returns this choice if the caller supports its kind.
@@ -71,27 +71,27 @@ class WaterChoice(NamedTuple):
             can: kinds that the caller supports.
             who: name of the caller, for the message.
         Raises:
-            ConfigError: the caller does not support this water; lists those that it does.
+            ConfigError: the caller does not support this water; the message lists those that it supports.
         """
         if self.kind not in can:
             raise ConfigError(
-                f"water {self.kind!r}: {who} swims in {', '.join(can)}, or a fitted water by name; {INSTEAD[self.kind]}"
+                f"water {self.kind!r}: {who} supports {', '.join(can)}, or a fitted water by name; {INSTEAD[self.kind]}"
             )
         return self
 
     def announced(self) -> "WaterChoice":
-        """Returns this choice; warns once for each body that has no fitted water and whose user chose none."""
+        """Returns this choice; warns once for each body if no water was chosen and none is fitted."""
         if NOT_FITTED in self.said:
             console.warn_once(f"robot {self.robot.name!r}, water: {self.said}")
         return self
 
 
 def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
-    """Water that the option selects; None: the one that the description states, else the fitted water if this body has one.
+    """Water that the option selects; None: the description's default, else the fitted water, else `structured`.
 
     Raises:
-        UnknownName, StoreError: no such water, or a damaged one. ConfigError: none is fitted for this body, or one for another
-        body or time step.
+        UnknownName, StoreError: no such water, or a damaged one. ConfigError: no water is fitted for this body, or it was fitted
+        for another body or time step.
     """
     name, described = None if water is None else str(water), robot.water.get(OWN, robot.water)
     stated = robot.water.get("model")
@@ -117,7 +117,7 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
 
 
 def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
-    """Robot with other coefficients; it keeps those of its description, so that it can be recognised and restored."""
+    """Robot with other coefficients; keeps its description's under `OWN`, to identify and restore it."""
     described = robot.water.get(OWN, robot.water)
     kept = {key: described[key] for key in ("stations",) if key in described}
     return replace(robot, water={**coefficients, **kept, "model": name, OWN: described})
@@ -131,11 +131,11 @@ def in_water(
 
 
 def as_described(robot: Robot, water: "str | Path" = STRUCTURED) -> Robot:
-    """Robot in the water that its description states; in a fitted water only if it is named.
+    """Robot in its description's own water, or in a fitted water if one is named.
 
-    For work that questions a description: the search, the calibration, the second robot.
+    For work that tests a description: the gap search, the calibration, the virtual robot.
     """
-    return robot if str(water) == STRUCTURED else in_water(robot, water, who="what questions a description")
+    return robot if str(water) == STRUCTURED else in_water(robot, water, who="a command that tests a description")
 
 
 def _joined(name: str, member: str | None) -> str:
@@ -152,9 +152,9 @@ def model_of(robot: Robot) -> "HydroModel | None":
 
 
 def _own(robot: Robot, name: str) -> str:
-    """Resolves `fitted`: the fitted water that the description states, else the one of the robot's name; other names unchanged.
+    """Name of the water for `fitted`: the description's, else the one with the robot's name. Returns other names unchanged.
 
-    Raises ConfigError: there is none.
+    Raises ConfigError: this robot has no fitted water.
     """
     kind, member = split_member(name)
     if kind != FITTED:
@@ -173,9 +173,9 @@ def label(robot: Robot) -> str:
 
 
 def fitted_for(robot: Robot) -> str | None:
-    """Name of the fitted water for this body, or None if there is none.
+    """Name of this body's fitted water, or None.
 
-    Raises StoreError, ConfigError: there is one that is damaged, or that was fitted at another time step.
+    Raises StoreError, ConfigError: it is damaged, or was fitted at another time step.
     """
     if robot.name not in calib.waters():
         return None
@@ -196,8 +196,8 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
     if (share := described.get("residual")) is not None:
         if family is not None:
             raise ConfigError(
-                f"water {name!r}: [water] residual = {share} of robot {robot.name!r}, but every fish draws its share between"
-                f" {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave it out, or name one fitted water"
+                f"water {name!r}: [water] residual = {share} of robot {robot.name!r}, but every fish of a family draws its share"
+                f" between {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave it out, or name a fitted water"
             )
         coefficients["residual"] = share
     made, prior = _with(robot, coefficients, name), water_prior(robot.links)
@@ -215,7 +215,7 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
 
 
 def _dry(robot: Robot) -> dict[str, Any]:
-    """Coefficients of zero: no water."""
+    """Water table with all coefficients zero, for air."""
     table = strip_forces.coefficients(robot.water, len(robot.links))._asdict()
     return {
         key: ([0.0] * len(value) if isinstance(value, list) else 0.0) if key in DRY else value for key, value in table.items()
@@ -223,7 +223,7 @@ def _dry(robot: Robot) -> dict[str, Any]:
 
 
 def residuals_of(robot: Robot) -> tuple:
-    """Learnt forces of the robot's water, several in a family. Raises ConfigError for a water of other links."""
+    """Learnt residuals of the robot's water, several in a family. Raises ConfigError if they have another number of links."""
     model = model_of(robot)
     if model is None:
         return ()
@@ -252,7 +252,7 @@ def family_of(name: str) -> "WaterFamily | None":
 
 
 def family_in(robot: Robot) -> "WaterFamily | None":
-    """Family of waters that each randomised fish of this robot draws from; None if its water is one."""
+    """Family from which each randomised fish of this robot draws its water; None if the robot's water is no family."""
     return family_of(str(robot.water.get("model", "")))
 
 

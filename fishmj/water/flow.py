@@ -1,4 +1,4 @@
-"""Background flow: a mean current plus turbulence, one definition for every water.
+"""Background flow: a mean current plus turbulence, defined once for all waters.
 
     U(x, t) = U_mean + u'(x - U_mean t)                                   frozen advection (Taylor 1938)
     E(k) ~ (k/ke)^4 / (1 + (k/ke)^2)^(17/6),  ke = 0.7468 / L             von Karman 1948, doi 10.1073/pnas.34.11.530
@@ -123,7 +123,7 @@ def table_of(preset: str, box: int = 0) -> tuple[np.ndarray, float]:
 
 
 def draw(xp, preset: str, table, cell, speed, direction, intensity, uniforms) -> Current:
-    """Realises the flow of B fish. uniforms: (B, 4) in [0, 1); speed m/s, direction rad towards which the water moves, (B,)."""
+    """Draws the flow of B fish. uniforms: (B, 4) in [0, 1); speed m/s and direction rad, towards which the water moves, (B,)."""
     rows, cells = table.shape[0], table.shape[1]
     aligned = preset in ("vortex_street", "shear")
     angle = direction if aligned else 2 * pi * uniforms[:, 3]
@@ -167,9 +167,9 @@ def sample(xp, c: Current, points, tick):
 
 
 def shifted(c: Current, by, tick) -> Current:
-    """The same flow with another mean (NumPy): `by` (B, 2) m/s is added; at bus tick (B,) the eddies keep their places."""
+    """Flow with `by` (B, 2) m/s added to the mean (NumPy); at bus tick (B,) the eddies keep their positions."""
     by, cos, sin = np.asarray(by, float), c.turn[:, 0], c.turn[:, 1]
-    if c.table.ndim == 3:  # gusts are uniform: nothing rides on the mean
+    if c.table.ndim == 3:  # gusts are uniform in space, so the mean does not move them
         return c._replace(mean=c.mean + by)
     ride = by * (np.asarray(tick) * TICK)[:, None]
     return c._replace(mean=c.mean + by, offset=c.offset + _turned(np, ride, cos, -sin) / c.cell)
@@ -182,7 +182,7 @@ def _turned(xp, vectors, cos, sin):
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """One background flow, reproducible from its numbers and the same on every water.
+    """Background flow, reproducible from its numbers and the same in every water.
 
     speed m/s; direction rad, towards which the water moves, counter-clockwise from tank +x; intensity TI; box: table number.
     """
@@ -255,13 +255,13 @@ class Flow:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnFlow(Flow):
-    """A background flow that has already been drawn, instead of one drawn from a seed."""
+    """Background flow with a given draw instead of a seed."""
 
     drawn: Current  # a batch of one
 
     @classmethod
     def of(cls, drawn: Current, kind: Flow) -> "DrawnFlow":
-        """Background flow with this draw, a batch of one, of the turbulence and box of `kind`."""
+        """Background flow with this draw (a batch of one), and the turbulence and box of `kind`."""
         u, v = (float(component) for component in drawn.mean[0])
         return cls(speed=np.hypot(u, v), direction=np.arctan2(v, u), turbulence=kind.turbulence, box=kind.box, drawn=drawn)
 

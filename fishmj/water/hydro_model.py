@@ -1,12 +1,12 @@
-"""A fitted water: strip coefficients, the learnt residual with its range, and where both come from. TOML and safetensors.
+"""Fitted water: strip coefficients, the learnt residual with its range, and their provenance. TOML and safetensors.
 
     model = HydroModel.load("swift")            a shipped one, or a path to its .toml; "swift#2" is its member 2
     sw = model.swimmer(robot)                   the robot in this water
-    model.learnt                                the residual, or None; `residual_hooks` puts it into a step
-    model.base_only                             the strip model fitted by itself, a water of its own
+    model.learnt                                the residual, or None; `residual_hooks` adds it to a step
+    model.base_only                             the strip model fitted without a residual, as a separate water
 
 A model is a pair of files: `<name>.toml` has the readable numbers and the sha256 of `<name>.safetensors`, which has the weights.
-Nothing in either can run code.
+Neither can run code.
 """
 
 import hashlib
@@ -33,13 +33,13 @@ from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import flat, unflat
 
 SCHEMA = "fishmj.water/1"
-FULL = ", residual=1.0)"  # left out of hashes: files of before this coefficient keep theirs
+FULL = ", residual=1.0)"  # left out of hashes, so that files older than this coefficient keep theirs
 UNITS = "SI: m, s, kg, N, N m, rad, W; coefficients without a unit"
 FOLDERS = calib.WATERS
 
 
 def robot_hash(robot: Robot) -> str:
-    """sha256 of everything that describes a robot except its water: a model holds the hash of its robot."""
+    """sha256 of a robot's description without its water; a model stores the hash of its robot."""
     return hashlib.sha256(repr(replace(robot, water={"stations": robot.water.get("stations")})).encode()).hexdigest()
 
 
@@ -141,14 +141,14 @@ class HydroModel:
     """One fitted water.
 
     Attributes:
-        body_sha256: hash of the body alone; "" in an older file, which is valid for that one robot only.
-        base: coefficients of the strip model. members: (E, P) the same for each member of the ensemble, flat, for error bars.
+        body_sha256: hash of the body; "" in an older file, which is valid for its robot only.
+        base: coefficients of the strip model. members: (E, P) those of each ensemble member, flat, for error bars.
         alone: (1 + E, P) base and members of the strip model fitted without a residual.
         learnt: the residual, or None. robot, robot_sha256: robot of the fit. slip: slip ratio of the flow solver in the fit.
         dt: physics step of the fit, s. found: fit results of each coefficient, by stage. dataset: sha256 and seconds.
-        band: (offset, share, spread) of the error bar by channel (prediction_interval.py), `band_alone` without the residual.
-        preview: fitted to the first part of a plan, or to a coarse small box: its errors are not those of a complete fit.
-        scores: on the validation part. calibration: of the bands, on swims outside the fit (prediction_interval.py).
+        band: (offset, share, spread) of the error bar by channel (prediction_interval.py); `band_alone`: without the residual.
+        preview: fitted to an incomplete plan or in a coarse small box, so less accurate than a complete fit.
+        scores: errors on the validation set. calibration: of the bands, on held-out swims (prediction_interval.py).
     """
 
     name: str
@@ -172,7 +172,7 @@ class HydroModel:
 
     @property
     def base_only(self) -> "HydroModel":
-        """Strip model alone, with the coefficients that fit best without a residual."""
+        """Strip model without a residual, with the coefficients fitted for it."""
         if self.learnt is None:
             return self
         water = unflat(self.alone[0].tolist())
@@ -188,16 +188,16 @@ class HydroModel:
 
     @property
     def calibrated(self) -> dict[str, float]:
-        """Coefficients that the data identified; the others may be used but not quoted."""
+        """Coefficients that the data identify; the others may be used, but their values mean little."""
         rows = {name: row for stage in self.found.values() for name, row in stage.get("parameters", {}).items()}
         return {name: row["value"] for name, row in rows.items() if row["status"] == "identified"}
 
     def fits_body(self, robot: Robot) -> bool:
-        """True for a robot of the body of the fit."""
+        """True if the robot has the body of the fit."""
         return robot_hash(robot) == self.robot_sha256 or body_sha256(robot) == self.body_sha256
 
     def swimmer(self, robot: Robot) -> planar_chain.Swimmer:
-        """Nominal robot in this water. The water belongs to the body: it is the same with another servo, mass or timing.
+        """Nominal robot in this water, which depends on the body, not on servos, masses or timing.
 
         Raises ConfigError: the model was fitted for another body or another time step.
         """
@@ -214,7 +214,7 @@ class HydroModel:
         return planar_chain.nominal(robot)._replace(water=self.base)
 
     def remark(self, robot: Robot) -> str:
-        """Remark about this robot in this water; empty for the robot of the fit."""
+        """Caveat for this robot in this water; empty for the robot of the fit."""
         other = "" if robot_hash(robot) == self.robot_sha256 else "; fitted to this body with other servos, masses or timing"
         return f"; a preview, not fitted to a whole plan{other}" if self.preview else other
 
@@ -256,12 +256,12 @@ class HydroModel:
             model = cls.load(found[0])
             return model.base_only if str(source).endswith("-base") else model
         whole_file = str(path).replace("-base.toml", ".toml")
-        alone = not os.path.exists(path) and os.path.isfile(whole_file)  # a text that can be no path does not exist
+        alone = not os.path.exists(path) and os.path.isfile(whole_file)  # os.path, because it accepts text that is no valid path
         return _read(Path(whole_file)).base_only if alone else _read(path)
 
 
 def member_of(model: HydroModel, number: "str | int") -> HydroModel:
-    """One member of the ensemble as a water of its own: its strip coefficients and its residual, which then has no spread.
+    """Ensemble member as a separate water, with its strip coefficients and its residual, whose spread is zero.
 
     Raises ConfigError: `number` is not one of 0 to E - 1.
     """
@@ -310,7 +310,7 @@ def _read(path: Path) -> HydroModel:
 
 
 def _with_residual(rows: np.ndarray, base: strip_forces.Coefficients) -> np.ndarray:
-    """Flat coefficients (E, P); files of before the coefficient `residual` lack its column, which is then 1."""
+    """Flat coefficients (E, P); adds the column `residual`, 1, if an older file lacks it."""
     return rows if rows.shape[1] == len(flat(base)) else np.column_stack([rows, np.ones(len(rows))])
 
 

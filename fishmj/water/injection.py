@@ -1,4 +1,4 @@
-"""Water inside MuJoCo's C engine: the added mass joins the mass matrix, every other force joins the passive forces.
+"""Coupling of the water to MuJoCo by a callback: added mass goes into the mass matrix, other forces into the passive forces.
 
 MuJoCo calls `mjcb_passive` once per step, between the factorisation of M and the solve. Here it
     1. rebuilds M from the pose (mj_makeM), so that a second call or an extra mj_forward never adds twice,
@@ -7,11 +7,11 @@ MuJoCo calls `mjcb_passive` once per step, between the factorisation of M and th
 Nothing reads qfrc_actuator or qfrc_bias, which are stale at that moment. The callback is pure; the water's memory advances once
 for each step in `Handle.step`.
 
-No exception may cross MuJoCo: after any call back into it, the jump out of its C frames aborts the process. An exception in
-the water is stored; `Handle.step` restores the state and raises it. After a bare mj_step it is raised when the block ends.
+An exception must not pass through MuJoCo's C frames, which would abort the process. An exception in the water is stored;
+`Handle.step` restores the state and raises it. After a plain mj_step it is raised when the block ends.
 
-The slot is one per process (`mjcf.passive_slot`): this module dispatches on the model, leaves other models alone, refuses a
-slot that someone else filled, serves one thread (`link_wrench` serves any), and always cleans up.
+MuJoCo has one callback per process (`mjcf.passive_slot`): this module dispatches on the model, ignores other models, refuses a
+callback slot in use by other code, works in one thread (`link_wrench` in any), and always cleans up.
 """
 
 from contextlib import contextmanager
@@ -27,7 +27,7 @@ _handles: dict[int, "Handle"] = {}  # address of the model -> its water
 
 
 class Handle:
-    """One model with its water while the `inject` block lasts."""
+    """Model with its water within an `inject` block."""
 
     def __init__(self, model: mujoco.MjModel, water):
         rows = rows_of_mass(model, water, "inject")
@@ -57,7 +57,7 @@ class Handle:
             raise error
 
     def passive(self, model, data) -> None:
-        """Does the callback's work: M + M_a, and the explicit force."""
+        """Callback: adds M_a to M, and the explicit force to qfrc_passive."""
         added, force = self.water.forces(model, data)
         if not (np.isfinite(force).all() and np.isfinite(added).all()):
             raise self.water.blame(model, data)
@@ -68,7 +68,7 @@ class Handle:
 
 
 def rows_of_mass(model: mujoco.MjModel, water: PlanarWater, who: str) -> np.ndarray:
-    """Row of every entry of the model's mass matrix. Raises ConfigError for a model that this water cannot join."""
+    """Row of each entry of the model's mass matrix. Raises ConfigError for a model that this water does not support."""
     root = "free" if model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE else "planar"
     if water.root != root:
         raise ConfigError(f"{who}: the model's root is {root!r}, the water's {water.root!r}; build both with the same root")
@@ -82,7 +82,7 @@ def rows_of_mass(model: mujoco.MjModel, water: PlanarWater, who: str) -> np.ndar
 
 
 def inject(model: mujoco.MjModel, water: PlanarWater):
-    """Puts `model` into `water` until the block ends; blocks nest, one model each.
+    """Context manager that couples `model` to `water`; blocks nest, with one model each.
 
     Args:
         model: from `fishmj.mjcf.build`, root as the water's.
@@ -91,17 +91,17 @@ def inject(model: mujoco.MjModel, water: PlanarWater):
     Yields:
         Handle, whose `step(data)` advances the fish by one physics step.
 
-    Raises InjectionError: the slot belongs to someone else or to another thread, or the model has a water already.
+    Raises InjectionError: the callback is in use by other code or another thread, or the model has a water already.
     """
     return installed(Handle(model, water))
 
 
 @contextmanager
 def installed(handle: Handle):
-    """Makes the callback serve this handle until the block ends; as `inject`."""
+    """Context manager that registers this handle with the callback; as `inject`."""
     key = handle.model._address
     if key in _handles:
-        raise InjectionError("inject: this model is in water already; one block a model")
+        raise InjectionError("inject: this model has a water already; use one block for each model")
     if not _handles or passive_slot.taken_by_another_thread():
         passive_slot.install(_dispatch)
     _handles[key] = handle
@@ -115,9 +115,9 @@ def installed(handle: Handle):
 
 
 def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | None = None) -> None:
-    """Does `mj_step` and raises an error when MuJoCo would silently reset the fish to its start.
+    """Does `mj_step`; raises an error if MuJoCo has silently reset the fish.
 
-    MuJoCo responds to a NaN or a huge number with a reset to qpos0 and a warning counter; the previous state is lost.
+    MuJoCo responds to a NaN or a huge number by a reset to qpos0 and a warning counter; the previous state is lost.
 
     Raises SimDiverged: names the quantity and the degree of freedom.
     """
@@ -125,21 +125,21 @@ def checked_step(model: mujoco.MjModel, data: mujoco.MjData, handle: Handle | No
     time = data.time
     mujoco.mj_step(model, data)
     if handle is not None and handle.error is not None:
-        return  # the water's own error says more
+        return  # the water's own error is more specific
     grown = np.flatnonzero(data.warning.number > before)
     if len(grown):
         kind = mujoco.mjtWarning(int(grown[0])).name.removeprefix("mjWARN_BAD").lower()
         dof = int(data.warning.lastinfo[grown[0]])
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, model.dof_jntid[min(dof, model.nv - 1)])
         raise SimDiverged(
-            f"MuJoCo reset the fish at t = {time:.3f} s: {kind} of joint {name!r} was not a finite, sensible number;"
-            " lower the time step or check the forces put into the model",
+            f"MuJoCo reset the fish at t = {time:.3f} s: {kind} of joint {name!r} was not finite or was huge;"
+            " reduce the time step, or check the forces applied to the model",
             time=time,
             term=kind,
             link=name or "",
         )
     if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
-        raise SimDiverged(f"the state left the finite numbers at t = {time:.3f} s", time=time, term="state")
+        raise SimDiverged(f"the state is not finite at t = {time:.3f} s", time=time, term="state")
 
 
 def _dispatch(model, data) -> None:

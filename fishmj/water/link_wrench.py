@@ -1,12 +1,12 @@
-"""Water as a force and a moment on every link, through `data.xfrc_applied`: no callback, for any thread and any loop.
+"""Coupling of the water to MuJoCo by wrenches on the links in `data.xfrc_applied`: no callback, for any thread and loop.
 
     fish = LinkWrench(model, PlanarWater(robot, swimmer, learnt=...))
     while swimming:
         fish.apply(data)                before every mj_step
         mujoco.mj_step(model, data)
 
-MuJoCo adds sum J^T wrench to its own forces f and solves (M + h D) a = f + sum J^T wrench. The added mass acts on that same a, so
-a is solved for first, from MuJoCo's own matrix and forces; the step is that of `injection`, to round-off:
+MuJoCo solves (M + h D) a = f + sum J^T wrench. The wrench contains the added mass times a, so this module first solves for a with
+MuJoCo's matrix and forces; the step equals that of `injection` to round-off:
 
     (M + M_a + h D) a = f + Q,    wrench_i = explicit force_i - A_i a_i      about the link's centre of mass, world axes
 """
@@ -22,31 +22,31 @@ from fishmj.water.planar_water import PlanarWater
 class LinkWrench:
     """Water of one model; shares nothing with other models or threads.
 
-    Your own forces on the fish belong into `data.qfrc_applied` (mujoco.mj_applyFT), before `apply`: the added mass acts on
-    them as well. The rows of the links in `data.xfrc_applied` are the water's. `apply` does not include forces of contacts and
-    constraints, which come later; models of `fishmj.mjcf.build` have neither.
+    Put your own forces on the fish into `data.qfrc_applied` (mujoco.mj_applyFT) before `apply`, because the added mass also
+    depends on them. Do not write to the links' rows of `data.xfrc_applied`. Contacts and constraints are not supported; models of
+    `fishmj.mjcf.build` have neither.
 
     Args:
         model: from `fishmj.mjcf.build`, root as the water's.
         water: `PlanarWater` or `spatial_water.FreeWater`.
 
-    Raises ConfigError: the water is another root's, the model is not a single chain, or its integrator is not Euler's.
+    Raises ConfigError: the water has another root, the model is not a single chain, or its integrator is not Euler.
     """
 
     def __init__(self, model: mujoco.MjModel, water: PlanarWater):
         rows_of_mass(model, water, "LinkWrench")
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
-            raise ConfigError("LinkWrench: the model's integrator is not Euler, whose step the added mass is solved for; set it")
+            raise ConfigError("LinkWrench: the model's integrator is not Euler, the only one supported; set it to Euler")
         self.model, self.water = model, water
         self._taken: tuple | None = None  # (time, attachment, memory one step later) of the last `apply`
 
     def begin(self, attached: float = 0.5, memory: "list | None" = None) -> None:
-        """Resets the water's memory after a reset or a jump of `data`, by default to that of a fish at rest."""
+        """Sets the water's memory after a reset or jump of `data`, by default to that of a fish at rest."""
         self.water.attached, self.water.memory = attached, self.water.at_rest() if memory is None else memory
         self._taken = None
 
     def apply(self, data: mujoco.MjData) -> None:
-        """Puts the wrenches of this state into `data.xfrc_applied`; a second call for the same state puts the same.
+        """Writes the wrenches of this state to `data.xfrc_applied`; calling it twice for one state is safe.
 
         The water's memory advances by itself: once for every step that `data.time` has made since the last call.
 
@@ -90,7 +90,7 @@ class LinkWrench:
         self._move_on(data.time)
 
     def _move_on(self, time: float) -> None:
-        """Takes over the memory after the last `apply` if a step was made since."""
+        """Advances the memory if a step was made since the last `apply`."""
         since, attached, memory = self._taken or (time, None, None)
         self._taken = None
         if time == since:

@@ -1,11 +1,11 @@
-"""The water of one fish in MuJoCo's planar coordinates (x, y, psi, j1 ..): added mass M_a, and explicit forces on every link.
+"""Water of one fish in MuJoCo's planar coordinates (x, y, psi, j1 ..): added mass M_a, and explicit forces on every link.
 
     a_head = B(psi) qacc     head axes and absolute link rates from MuJoCo's coordinates
     M_a(MuJoCo) = B^T M_a(head) B
     explicit    = strips + learnt residual if there is one, (F_t, F_n, moment) a link
 
-This module only sums the terms of `planar_chain`, `strip_forces` and `residual_hooks`. The water at one instant is computed once
-(`Instant`) and serves forces, wrenches and the next memory.
+This module sums the terms of `planar_chain`, `strip_forces` and `residual_hooks`. They are computed once for each state
+(`Instant`) and used for forces, wrenches and the next memory.
 """
 
 from typing import Any, NamedTuple
@@ -24,12 +24,12 @@ class Instant(NamedTuple):
     """Forces and added mass of a water on N links at one state."""
 
     motion: planar_chain.Links  # u, w, omega of every link through its water
-    explicit: Any  # force on every link but for what goes with its acceleration
-    residual: list  # N of (F_t, F_n, moment), the learnt share of it; empty without one
+    explicit: Any  # force on every link, without the part proportional to its acceleration
+    residual: list  # N of (F_t, F_n, moment), the learnt part of it; empty without a residual
     added: Any  # added mass
-    frame: Any  # what turns both into MuJoCo's coordinates
-    attached: float  # one step later
-    memory: list  # one step later
+    frame: Any  # transformation of both to MuJoCo's coordinates
+    attached: float  # attachment one step later
+    memory: list  # memory one step later
 
 
 class PlanarWater:
@@ -41,14 +41,14 @@ class PlanarWater:
     Attributes:
         swimmer: this fish's constants; `swimmer.water` may be replaced between steps.
         attached: attachment state of the tail, 0..1.
-        memory: memory of the residual, flat list of floats. Both are present values: `forces` reads them and never changes them;
-            the caller of a step advances them once for each step.
-        flow: water velocity at each link (N, 3) [m/s] and `ambient` its uniform acceleration (3,) [m/s2], world frame;
-            the caller sets them (`set_flow`) as often as the flow changes.
+        memory: memory of the residual, flat list of floats. `forces` only reads memory and attachment; the caller advances them
+            once for each step.
+        flow, ambient: water velocity at each link (N, 3) [m/s], and its uniform acceleration (3,) [m/s2], world frame; set by
+            `set_flow`.
     """
 
     root = "planar"
-    unnamed = "ambient"  # what is to blame where no term with a name is
+    unnamed = "ambient"  # term named by `blame` if all others are finite
 
     def __init__(
         self, robot: Robot, swimmer: planar_chain.Swimmer | None = None, learnt: "residual_hooks.Residual | None" = None
@@ -59,7 +59,7 @@ class PlanarWater:
         self.attached = 0.5
         self.memory: list = self.at_rest()
         self.flow, self.ambient = np.zeros((self.chain.n, 3)), np.zeros(3)
-        self._known: tuple[Any, Any, Any] = ((), (), None)  # inputs, constants and what came of them
+        self._known: tuple[Any, Any, Any] = ((), (), None)  # cache: inputs, constants and result
 
     def at_rest(self) -> list:
         """Memory of a fish at rest in still water."""
@@ -75,14 +75,14 @@ class PlanarWater:
         """Added mass (nv, nv) and the explicit generalised force (nv,); pure."""
         now = self.instant(model, data)
         force = planar_chain.generalised(np, self.chain, now.frame, planar_chain.gather(self.chain, now.motion, now.explicit))
-        # the force without M_a a: MuJoCo adds the matrix to its own M and finds the acceleration with both
+        # without M_a a, because MuJoCo solves with M + M_a
         return world_matrix(self.chain, now.frame, now.added), np.array(force)
 
     def wrenches(self, model, data, qacc) -> np.ndarray:
         """Force and moment of the water on every link about its centre of mass, world axes, (N, 6) N, N m; pure.
 
         Args:
-            qacc: (nv,) acceleration of that instant, on which the added mass acts.
+            qacc: (nv,) present acceleration, for the added mass.
         """
         now, ch, c = self.instant(model, data), self.chain, self.swimmer.water
         cp, sp = np.cos(now.frame), np.sin(now.frame)
@@ -96,17 +96,17 @@ class PlanarWater:
             fx, fy = ft * tx + fn * nx, ft * ty + fn * ny
             x, y, _ = model.body_ipos[1 + i]
             out[i, [0, 1, 5]] = cp * fx - sp * fy, sp * fx + cp * fy, moment - x * fn + y * ft
-            if i < ch.n - 1:  # of the next link's origin, less what goes with velocities
+            if i < ch.n - 1:  # acceleration of the next link's origin, without its velocity-dependent part
                 ax, ay = ax + ch.d[i] * alpha[i] * nx, ay + ch.d[i] * alpha[i] * ny
         return out
 
     def following(self, model, data) -> tuple[float, list]:
-        """Attachment and memory one step later; forces of this step still use the present ones."""
+        """Attachment and memory one step later; forces of this step use the present ones."""
         now = self.instant(model, data)
         return now.attached, now.memory
 
     def instant(self, model, data) -> Instant:
-        """Forces and added mass now; pure, and computed once for one state, flow, memory and set of constants."""
+        """Present forces and added mass; pure, and cached for the same state, flow, memory and constants."""
         arrays = (*self._state(data), self.flow, self.ambient)
         inputs = (*(a.tobytes() for a in arrays), self.attached, *self.memory, model.opt.timestep)
         constants = self._constants()
@@ -121,13 +121,13 @@ class PlanarWater:
         return data.qpos, data.qvel
 
     def _constants(self) -> tuple:
-        """Objects that are replaced when the water changes, never written to."""
+        """Objects that are replaced, never modified, when the water changes."""
         return (self.swimmer, self.learnt)
 
     def _evaluated(self, data, dt: float) -> Instant:
         ch, sw, heading = self.chain, self.swimmer, float(data.qpos[2])
         k = planar_chain.kinematics(np, ch, data.qpos.tolist(), data.qvel.tolist(), self.flow[:, :2].tolist())
-        # `attached` is read, never written: MuJoCo may call the callback more often than once a step (mj_forward)
+        # must not modify `attached`, because MuJoCo may call the callback several times in a step (mj_forward)
         hydro = planar_chain.water_forces(np, ch, sw, k, heading, self.ambient.tolist(), self.attached)
         residual, memory = self._learnt(k, dt)
         if residual:
@@ -148,11 +148,11 @@ class PlanarWater:
         return float(strip_forces.attachment(np, s, water, *tail, self.attached, dt))
 
     def blame(self, model, data) -> SimDiverged:
-        """The error that names the first term and link whose force is not finite."""
+        """Error that names the first term and link with a non-finite force."""
         now = self.instant(model, data)
         motions = list(zip(now.motion.u, now.motion.w, now.motion.omega, strict=True))
         strips = lambda i: named_terms(self.chain.strips, self.swimmer.water, i, *motions[i], self.attached)
-        # the residual last: it is bounded by what the strips' drag takes, so their fault is its fault too
+        # the residual comes last, because its bound depends on the strips' drag and inherits their errors
         for terms in (strips, lambda i: {RESIDUAL: now.residual[i]} if now.residual else {}):
             for i, link in enumerate(self.robot.links):
                 for term, value in terms(i).items():
@@ -178,7 +178,7 @@ def named_terms(s: strip_forces.Strips, c: strip_forces.Coefficients, i: int, u,
 
 
 def diverged(data, term: str, link: str, u, w, omega) -> SimDiverged:
-    """A `SimDiverged` with the time and the last inputs."""
+    """`SimDiverged` with the time and the last inputs."""
     return SimDiverged(
         f"water: term {term!r} on link {link!r} is not finite at t = {data.time:.3f} s"
         f" (u = {u:.4g} m/s, w = {w:.4g} m/s, yaw rate = {omega:.4g} rad/s); check the flow, the coefficients and the time step",
@@ -195,6 +195,6 @@ def world_matrix(ch: planar_chain.Chain, heading: float, lower) -> np.ndarray:
     b = np.zeros((size, size))
     c, s = np.cos(heading), np.sin(heading)
     b[:2, :2] = [[c, s], [-s, c]]
-    # MuJoCo counts joint angles, the chain absolute link rates: Omega_i is the sum of the rates before it
+    # MuJoCo uses joint rates, the chain absolute link rates Omega_i, the sum of the rates up to link i
     b[2:, 2:] = np.tri(ch.n)
     return b.T @ m @ b

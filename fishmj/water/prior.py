@@ -11,14 +11,14 @@ from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import strip_forces
 
 FILE = "hydro_fit.toml"
-FIXED = ("stall_width", "residual")  # never fitted: one keeps gradients finite, the other scales what was fitted
+FIXED = ("stall_width", "residual")  # never fitted: the first keeps gradients finite, the second scales the fitted residual
 
-STEEPEST = 40.0  # largest lift_a and lift_b, as bounded in the file: a normal force of the edge needs some k_e
+STEEPEST = 40.0  # upper bound of lift_a and lift_b in the file
 
 
 @cache
 def table() -> dict:
-    """The prior of every coefficient: {sd, low, high, unit, source}."""
+    """Prior of every coefficient: {sd, low, high, unit, source}."""
     return read_toml(calib_folder() / FILE)["prior"]
 
 
@@ -58,12 +58,12 @@ def unflat(values) -> strip_forces.Coefficients:
 def prior_of(robot: Robot) -> Prior:
     """Prior of this robot's coefficients: its water table gives the mean, the calibration file the rest.
 
-    Raises ConfigError: a coefficient of the robot lies outside the file's bounds, or it has one that a fit to the solver lacks.
+    Raises ConfigError: a coefficient of the robot is outside the bounds, or the robot has one that a fit does not support.
     """
     links = len(robot.links)
     if any(robot.water.get(key, unset) != unset for key, unset in strip_forces.SHAPE.items()):
-        text = f"{robot.name} [water] {', '.join(strip_forces.SHAPE)}: a water is fitted to the solver without them"
-        raise ConfigError(f"{text}; leave them out of the description that hydro_fit starts from")
+        text = f"{robot.name} [water] {', '.join(strip_forces.SHAPE)}: hydro_fit does not support these keys"
+        raise ConfigError(f"{text}; leave them out of the description")
     c = strip_forces.coefficients(robot.water, links)
     names, mean = names_of(links), flat(c)
     kinds = [name.rstrip("0123456789") for name in names]

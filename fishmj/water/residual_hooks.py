@@ -3,16 +3,16 @@
     hooks = LearnedResidual(np, ch, residual, memory)       memory = at_rest(), later Step.memory
     s = planar_chain.step(np, ch, sw, q, v, attached, target, flow, ambient, hooks)
 
-The added force is gamma sigma f_i, the members' mean f_i of `residual` faded twice:
-    gamma   = r min_i (in range)_i / (1 + (spread / spread0)^2)  0 if the motion of a link left the range of the fit; r: the
-                                                                 coefficient `residual`, 1 in a fitted water
-    sigma   = (1 + (P+ / (eta D + R / T))^4)^-1/4                P = power of the faded forces, D = what drag takes
-    R'      = eta D - sigma P+ - R / T,   R >= 0                 a reservoir: only wake energy can come back
-in the frame of the water. The whole water is therefore passive up to the reservoir, and outside the range only the base acts.
-The range of a link depends on its own motion and that of the link before it, xi = [u_i, u_i-1 | w_i, w_i-1, Omega_i L_i] / V_i.
+The added force is gamma sigma f_i: f_i is the ensemble's mean, gamma fades it outside the fit, and sigma bounds its power:
+    gamma   = r min_i (in range)_i / (1 + (spread / spread0)^2)  0 if the motion of a link is outside the range of the fit; r:
+                                                                 the coefficient `residual`, 1 in a fitted water
+    sigma   = (1 + (P+ / (eta D + R / T))^4)^-1/4                P: power of gamma f_i, D: power dissipated by drag
+    R'      = eta D - sigma P+ - R / T,   R >= 0                 energy reservoir: only wake energy can return
+in the frame of the water. The water is therefore passive up to the reservoir, and outside the range only the strips act.
+The range of a link depends on its motion and that of the link before it, xi = [u_i, u_i-1 | w_i, w_i-1, Omega_i L_i] / V_i.
 
 The memory is flat, WAKES + 2 scalars or arrays of one batch shape: wake states, R [J], and the number of steps with a moving link
-outside the range. `inner` are other hooks that act first, on the same fish.
+outside the range. `inner`: other hooks for the same fish, which act first.
 """
 
 import hashlib
@@ -25,10 +25,10 @@ from fishmj.base.errors import ConfigError
 from fishmj.water import residual_network, residual_step
 from fishmj.water.dynamics import planar_chain, strip_forces
 
-ETA, STORED = 0.3, 1.0  # share of the dissipated power that may be kept, and for how long, s
-TINY, MOST = 1e-6, 1e6  # W: so much may pass; of P+ over what may be kept, so that its fourth power stays finite
-FADE = 0.85  # of the limit: from here the force fades, beyond the limit it is gone
-EVEN, SEEN = 2, 5  # features of a link's range: those that a mirror leaves alone come first
+ETA, STORED = 0.3, 1.0  # eta, share of the dissipated power that enters the reservoir; T, its time constant, s
+TINY, MOST = 1e-6, 1e6  # W, power that is always allowed; bound on the ratio in sigma, so that its fourth power stays finite
+FADE = 0.85  # the force fades from this share of the limit on, and is zero beyond the limit
+EVEN, SEEN = 2, 5  # number of even features (under the mirror symmetry) of a link's range, which come first; of all
 
 
 class MotionRange(NamedTuple):
@@ -45,7 +45,7 @@ class Residual(NamedTuple):
     """Weights of the residual, and the range of its fit."""
 
     net: residual_network.Net
-    reach: MotionRange | None  # None: everywhere
+    reach: MotionRange | None  # None: no limit
 
 
 def at_rest() -> list:
@@ -54,7 +54,7 @@ def at_rest() -> list:
 
 
 def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_network.MotionFeatures) -> tuple[list, list]:
-    """Features xi of every link, N lists of 5, and its own V_i, m/s, which define its range."""
+    """Features xi of every link, N lists of 5, and speeds V_i, m/s, on which the range depends."""
     xi, speed = [], [xp.sqrt(square + residual_network.FLOOR**2) for square in m.square]
     for i, v in enumerate(speed):
         j = max(i - 1, 0)
@@ -63,7 +63,7 @@ def near(xp, p: residual_network.Panels, k: planar_chain.Links, m: residual_netw
 
 
 def inside(xp, r: MotionRange, xi: list, speed, i: int):
-    """Factor 1 well inside the fitted range of link i and 0 outside; and the distance of its motion (1 at the limit)."""
+    """Factor, 1 well inside the fitted range of link i and 0 outside, and distance of its motion (1 at the limit)."""
     off = [xi[c] - r.centre[i][c] for c in range(SEEN)]
     distance: Any = 0.0
     for row in range(SEEN):
@@ -77,11 +77,11 @@ def inside(xp, r: MotionRange, xi: list, speed, i: int):
     return fade, far
 
 
-_panels = lru_cache(8)(residual_network.panels)  # of a chain, wanted at every step
+_panels = lru_cache(8)(residual_network.panels)  # cached, because every step needs it
 
 
 def either(xp, there, one, other):
-    """Nested lists of arrays: those of `one` where `there` holds, else those of `other`."""
+    """Elementwise `where` for nested lists of arrays: `one` where `there` is true, else `other`."""
     if isinstance(one, list | tuple):
         return [either(xp, there, a, b) for a, b in zip(one, other, strict=True)]
     return xp.where(there, one, other)
@@ -92,8 +92,8 @@ class LearnedResidual:
 
     Args:
         ch: the chain whose links the residual was fitted for.
-        learnt: the residual; several, of which each fish has that of its `Swimmer.net`; or a function that chooses among them.
-        memory: flat list, inner's first where there is an `inner`.
+        learnt: the residual; several, from which `Swimmer.net` selects; or a function that selects one.
+        memory: flat list, which begins with that of `inner`.
         inner: other hooks, such as `hooks.Effects`.
     """
 
@@ -136,7 +136,7 @@ class LearnedResidual:
     def advance(
         self, s: strip_forces.Strips, c: strip_forces.Coefficients, k: planar_chain.Links, dt: float, net: Any = 0
     ) -> list:
-        """Forces on the links from the present wake, (F_t, F_n, moment) each; advances the wake by dt. net: as `Swimmer.net`."""
+        """Forces (F_t, F_n, moment) on the links with the present wake; then advances the wake by dt. net: as `Swimmer.net`."""
         xp, p = self.xp, self.panels
         k = batched(k)
         m = residual_network.motion(xp, p, k)
@@ -149,11 +149,11 @@ class LearnedResidual:
         return [tuple(scale * value for value in f) for f in forces]
 
     def network(self, learnt: Residual, m: residual_network.MotionFeatures, z: list, dt: float) -> tuple:
-        """Members' mean coefficients (3, N, ..), the variance between them, and the wake dt later from z."""
+        """Mean coefficients of the members (3, N, ..), their variance, and the wake states dt later."""
         return residual_step.mean_step(self.xp, learnt.net, m, z, dt)
 
     def _own(self, net, of: Any):
-        """Results that `of` gives of each fish's own residual."""
+        """Applies `of` to each fish's residual."""
         if isinstance(self.learnt, Residual):
             return of(self.learnt)
         if callable(self.learnt):
@@ -166,7 +166,7 @@ class LearnedResidual:
         return made
 
     def _faded(self, learnt: Residual, k: planar_chain.Links, m: residual_network.MotionFeatures, z: list, dt: float) -> tuple:
-        """Mean coefficients, variance, wake dt later; gamma without r; 1 if a moving link is outside the range."""
+        """Mean coefficients, variance, wake dt later; gamma / r; 1 if a moving link is outside the range."""
         mean, spread, wake = self.network(learnt, m, z, dt)
         if learnt.reach is None:
             return mean, spread, wake, 1.0, 0.0
@@ -186,7 +186,7 @@ class LearnedResidual:
 
 
 def bounded(xp, forces: list, taken, k: planar_chain.Links, store, dt: float):
-    """Factor on all forces that keeps their power within eta D + R / T, and the reservoir dt later."""
+    """Factor sigma, which keeps the power of all forces below eta D + R / T, and the reservoir dt later."""
     power: Any = 0.0
     for i, (ft, fn, moment) in enumerate(forces):
         power = power + ft * k.u[i] + fn * k.w[i] + moment * k.omega[i]
@@ -198,14 +198,14 @@ def bounded(xp, forces: list, taken, k: planar_chain.Links, store, dt: float):
 
 
 def batched(k: planar_chain.Links) -> planar_chain.Links:
-    """Kinematics with every velocity in the full batch shape."""
+    """Kinematics with all velocities broadcast to the full batch shape."""
     zero = 0.0 * (k.u[-1] + k.w[-1] + k.omega[-1])
     whole = lambda values: [value + zero for value in values]
     return k._replace(u=whole(k.u), w=whole(k.w), omega=whole(k.omega))
 
 
 def member(learnt: Residual, e: int) -> Residual:
-    """Ensemble with member e in every place: that member alone, in arrays of the same shapes."""
+    """Ensemble in which every member is member e, in arrays of the same shapes."""
     net = learnt.net
     alike = {name: np.repeat(np.asarray(getattr(net, name))[e : e + 1], net.members, 0) for name in residual_network.MEMBERS}
     return learnt._replace(net=net._replace(**alike))
@@ -214,7 +214,7 @@ def member(learnt: Residual, e: int) -> Residual:
 def packed(learnt: Residual) -> dict[str, np.ndarray]:
     """A residual with a range as named arrays, for a file."""
     if learnt.reach is None:
-        raise ConfigError("a residual without a range is for learning only; expected one with residual_hooks.Range")
+        raise ConfigError("a residual without a range is for training only; expected one with a MotionRange")
     parts: dict[str, Any] = {"net": learnt.net, "range": learnt.reach}
     return {f"{part}.{key}": np.asarray(value) for part, fields in parts.items() for key, value in fields._asdict().items()}
 
@@ -234,17 +234,17 @@ def unpacked(arrays: dict) -> Residual:
 
 
 def unlimited(links: int) -> MotionRange:
-    """Range without limits, for members of any spread: for fitting."""
+    """Range without limits on motion and spread, for fitting."""
     return MotionRange(
         np.zeros((links, 5)), np.tile(np.eye(5), (links, 1, 1)), np.full(links, 1e6), np.full(links, 1e6), np.array(1e6)
     )
 
 
-SHARE, MARGIN = 0.999, 1.15  # of the data that lies inside a range, and how much further it goes
+SHARE, MARGIN = 0.999, 1.15  # share of the data inside a range, and margin factor on its limits
 
 
 def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> MotionRange:
-    """Range of the data: `SHARE` of them, and `MARGIN` on top for distance and speed.
+    """Range that contains `SHARE` of the data, with limits of distance and speed enlarged by `MARGIN`.
 
     Args:
         xi: (M, N, 5) features. speed: (M, N) V, m/s.
@@ -254,7 +254,7 @@ def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> MotionRange:
     centre, whiten = np.zeros((links, SEEN)), np.zeros((links, SEEN, SEEN))
     for i in range(links):
         centre[i, :EVEN] = xi[:, i, :EVEN].mean(0)
-        off = xi[:, i] - centre[i]  # odd features have mean 0: a fish turns both ways
+        off = xi[:, i] - centre[i]  # odd features have mean 0 by symmetry
         for block in (slice(0, EVEN), slice(EVEN, SEEN)):
             part = off[:, block]
             cov = part.T @ part / len(part)
@@ -265,7 +265,7 @@ def fitted(xi: np.ndarray, speed: np.ndarray, spread: float) -> MotionRange:
 
 
 def widened(r: MotionRange, xi: np.ndarray, speed: np.ndarray) -> MotionRange:
-    """Range, widened as far as these data need; arguments as in `fitted`."""
+    """Range, widened to contain these data; arguments as in `fitted`."""
     off = np.einsum("mic,idc->mid", xi - r.centre, r.whiten)
     limit = MARGIN * np.quantile(np.linalg.norm(off, axis=2), SHARE, axis=0)
     return r._replace(limit=np.maximum(r.limit, limit), speed=np.maximum(r.speed, MARGIN * np.quantile(speed, SHARE, axis=0)))

@@ -1,10 +1,10 @@
-"""The learnt force of a whole batch in one kernel of an NVIDIA GPU, by Pallas and Triton; XLA makes many kernels of it.
+"""One GPU kernel for the learnt force of a batch, by Pallas and Triton, for NVIDIA GPUs; XLA would use many kernels.
 
     mean, spread, z = mean_step(dt, halves, motion, z)       as `residual_step.mean_step`, float32
 
-In XLA the hidden units of every fish go to memory and back, some three thousand bytes for each fish and step. Here they stay in
-registers and 250 bytes go over the bus. A program takes a block of fish, a thread one or a few; the weights, equal for all, come
-from cache. Every sum is in float32. tanh x = 1 - 2 / (1 + exp 2 x), accurate to 2e-7, saturates without an overflow.
+XLA writes the hidden units of every fish to memory, some 3 kB for each fish and step. Here they stay in registers, and 250 bytes
+are transferred. A program handles a block of fish, a thread one or a few; the weights, equal for all, come from cache. Sums are
+in float32. tanh x = 1 - 2 / (1 + exp 2 x), accurate to 2e-7, saturates without overflow.
 
 The kernel computes the forward pass only; gradients use the same formulas in XLA. On a GPU that does not support such kernels
 (`usable`) XLA's products replace them, with one warning.
@@ -23,7 +23,7 @@ from fishmj.base import console
 from fishmj.water import residual_network
 from fishmj.water.residual_network import BOUND, WAKES, Halves, MotionFeatures
 
-BLOCK, WARPS = 512, 16  # fish a program, a power of two, and warps of 32 threads that share them
+BLOCK, WARPS = 512, 16  # fish of a program, a power of two, and its warps of 32 threads
 HALF = WAKES // 2
 
 
@@ -32,11 +32,11 @@ def usable() -> bool:
     """Returns True if this machine's GPU supports such kernels; the first call compiles a small one, and warns if that fails."""
     try:
         probe.lower(*[jax.ShapeDtypeStruct((BLOCK, 4), jnp.float32)] * 2).compile()
-    except Exception as error:  # noqa: BLE001  whatever a driver or a compiler raises: the same water goes on by other means
+    except Exception as error:  # noqa: BLE001  after any error of driver or compiler, XLA computes the same water
         text = " ".join(str(error).split())[:200]
         console.warn(
-            f"this GPU does not take the kernels of the fitted water ({type(error).__name__}: {text}). Matrix products take their"
-            " place: the same swim, but slower. The kernels need an NVIDIA GPU of compute capability 8.0 or more"
+            f"this GPU does not support the kernels of the fitted water ({type(error).__name__}: {text}). Matrix products replace"
+            " them: the same swim, but slower. The kernels need an NVIDIA GPU of compute capability 8.0 or more"
         )
         return False
     return True
@@ -44,7 +44,7 @@ def usable() -> bool:
 
 @jax.jit
 def probe(rows, weights):
-    """Small kernel with the constructs of the large ones: a loop over rows of weights, columns split and joined, tanh."""
+    """Small test kernel with the constructs of the large ones: a loop over rows of weights, splits, joins, tanh."""
 
     def kernel(rows, weights, out):
         tanh = tanh_of(False)
@@ -72,7 +72,7 @@ def step(weights: Halves, m: MotionFeatures, z: list, dt: float, *, interpret: b
     """Computes `residual_step.mean_step` by the kernel; interpret: in plain JAX, on any machine."""
     links, shape = weights.forward.shape[1], m.speed.shape
     line = lambda a: jnp.reshape(jnp.asarray(a, jnp.float32), -1)
-    given = [line(a) for a in (*m.x, *z, m.speed)]  # apart: stacked, they would go to memory once more
+    given = [line(a) for a in (*m.x, *z, m.speed)]  # separate arrays, because stacking would copy them
     count = len(given[0])
     if more := -count % BLOCK:
         given = [jnp.pad(a, (0, more)) for a in given]
@@ -92,12 +92,12 @@ def step(weights: Halves, m: MotionFeatures, z: list, dt: float, *, interpret: b
 
 
 def whole(a) -> pl.BlockSpec:
-    """Block spec of an array that every program sees whole."""
+    """Block spec of an array that every program reads completely."""
     return pl.BlockSpec(a.shape, lambda *_: (0,) * a.ndim)
 
 
 def compiler(warps: int) -> dict[str, Any]:
-    """Options of `pl.pallas_call` for a program of so many warps."""
+    """Options of `pl.pallas_call` for a program with this number of warps."""
     from jax.experimental.pallas import triton
 
     return {"compiler_params": triton.CompilerParams(num_warps=warps, num_stages=1)}
@@ -106,8 +106,8 @@ def compiler(warps: int) -> dict[str, Any]:
 def tables_of(weights: Halves, together: int = 1) -> tuple:
     """Weights in the order in which a kernel reads them: hidden units, biases, even and odd products, wake states.
 
-    A row holds what a round of a loop reads: hidden units, `together` or a smaller divisor of their number, a member's biases,
-    all products, all wake states. A compiler knows the column and adds it to the address of the row, which it computes.
+    A row holds what one iteration of a loop reads: `together` hidden units (or a smaller divisor of their number), a member's
+    biases, all products, or all wake states. Columns are compile-time constants.
     """
     members, links, units = weights.forward.shape
     hidden = members * units
@@ -125,7 +125,7 @@ def tables_of(weights: Halves, together: int = 1) -> tuple:
 
 
 def tanh_of(interpret: bool):
-    """Returns tanh for use inside a kernel, from the device's own exponential and reciprocal: as accurate, and faster."""
+    """Returns tanh for use inside a kernel, by the device's fast exponential and reciprocal: as accurate, and faster."""
     if interpret:
         return lambda x: 1.0 - 2.0 / (1.0 + jnp.exp(2.0 * x))
     from jax.experimental.pallas import triton
@@ -150,8 +150,8 @@ def network(tables, links: int, m: MotionFeatures, z: list, dt: float, tanh, non
 
     Args:
         tables: references to the result of `tables_of`. links: of the fish.
-        none: 0; in a loop of steps, a zero that is unknown to the compiler. Otherwise it would load the weights, equal in every
-            step, before the loop: a thousand numbers for which no thread has registers.
+        none: 0; in a loop of steps, a zero that the compiler cannot see. Else it would load the thousand weights, equal in every
+            step, into registers before the loop, and spill.
     """
     units, biases, squares, crossed, wakes = tables
     members, zero = biases.shape[0], 0.0 * m.speed
@@ -190,7 +190,7 @@ def network(tables, links: int, m: MotionFeatures, z: list, dt: float, tanh, non
 
         start = [total + biases[number, j] for j, total in enumerate(ahead)] + aside
         g = [BOUND * tanh(total / BOUND) for total in lax.fori_loop(0, rounds, round_of, start)]
-        # Welford's sums: a variance far smaller than the mean's square keeps its digits
+        # Welford's sums are accurate even if the variance is far smaller than the squared mean
         off = [value - centre for value, centre in zip(g, mean, strict=True)]
         mean = [centre + away / (number + 1.0) for centre, away in zip(mean, off, strict=True)]
         for value, centre, away in zip(g, mean, off, strict=True):

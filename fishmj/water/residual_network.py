@@ -8,13 +8,14 @@ For N links with velocity u, w (at the middle of the link's strips) through the 
     f_i = 1/2 rho A_i 1/2 (Vb_i^2 + Vb^2) [1, 1, L_i] g_i                                     F_t, F_n, couple about the middle
     phi = tanh(B s + b),         N    = D tanh(A s + a) + d
 P holds the products of two features that mirror as the force does. In a frictionless fluid all forces of steady motion are such
-products (Lamb 1932, ch. VI), within a link and between links, so that water turned at a joint needs no hidden unit.
+products (Lamb 1932, ch. VI), within a link and between links, so that hidden units need not represent them.
 
-The inputs are velocities relative to the water in link axes, so the force is Galilean and rotation invariant. Both branches of
-the mirror are averaged, so it mirrors to the bit. It grows with speed squared, is bounded by c, and is zero at rest. N has E
-members (an ensemble), which share phi and P. The wake is advanced exactly over a step with frozen speed.
+The inputs are velocities relative to the water in link axes, so the force is Galilean and rotation invariant. The average over
+both branches of the mirror makes the symmetry exact, to the bit. The force grows with speed squared, its coefficients are bounded
+by c, and it is zero at rest. N is an ensemble of E members, which share phi and P. The wake is integrated exactly for constant
+speed over a step.
 
-With s = [x, z] = [e; o], even and odd, one branch's products give both: A s = A_e e + A_o o = p + q and A S s = p - q. In D,
+With s = [x, z] = [e; o], even and odd, the products of one branch give both: A s = A_e e + A_o o = p + q, A S s = p - q. In D,
 h+ + h- multiplies the rows of F_t only, and h+ - h- those of F_n and the couple, whose bias d cancels. See `Halves`.
 """
 
@@ -27,14 +28,14 @@ import numpy as np
 from fishmj.water.dynamics import strip_forces
 from fishmj.water.dynamics.planar_chain import Chain, Links
 
-FLOOR, HALF = 0.05, 0.2  # m/s, inside features only
-WAKES = 16  # states, the first half even
-WAKE = (*[1.0] * (WAKES // 2), *[-1.0] * (WAKES // 2))  # what a mirror makes of them
+FLOOR, HALF = 0.05, 0.2  # m/s, in the features only
+WAKES = 16  # number of wake states, the first half even
+WAKE = (*[1.0] * (WAKES // 2), *[-1.0] * (WAKES // 2))  # their signs under the mirror symmetry
 BOUND = 2.0  # c, of every force coefficient
 
 
 class Panels(NamedTuple):
-    """Each link as one plate, plain floats."""
+    """Links as plates, plain floats."""
 
     middle: tuple  # mean x of its strips, m
     square: tuple  # mean x^2, m2
@@ -52,8 +53,8 @@ class Net(NamedTuple):
     inner_bias: Any  # (E, H)
     outer: Any  # (E, 3 N, H): F_t of every link, then F_n, then the couple
     outer_bias: Any  # (E, 3 N)
-    even: Any  # (N, products that a mirror leaves alone)
-    odd: Any  # (2 N, products that it turns)
+    even: Any  # (N, number of even products)
+    odd: Any  # (2 N, number of odd products)
 
     @property
     def members(self) -> int:
@@ -61,7 +62,7 @@ class Net(NamedTuple):
         return self.inner.shape[0]
 
 
-MEMBERS = ("inner", "inner_bias", "outer", "outer_bias")  # what each member has for itself
+MEMBERS = ("inner", "inner_bias", "outer", "outer_bias")  # weights that differ between members
 
 
 class MotionFeatures(NamedTuple):
@@ -76,7 +77,7 @@ class MotionFeatures(NamedTuple):
 
 @lru_cache(8)
 def panels(ch: Chain) -> Panels:
-    """The plates of a chain."""
+    """Plates of a chain."""
     rows = [(np.array(x), np.array(h)) for x, h in zip(ch.strips.x, ch.strips.h, strict=True)]
     ends = [*ch.d, ch.strips.tail_x]
     spacing = [abs(x[1] - x[0]) if len(x) > 1 else 2 * abs(x[0] - end) for (x, _), end in zip(rows, ends, strict=True)]
@@ -96,7 +97,7 @@ def products(links: int) -> tuple[tuple, tuple]:
 
 
 def blank(links: int, members: int = 5, hidden: int = 16, seed: int = 0) -> Net:
-    """Small random inner weights and zero outer ones: a net that adds no force, ready to learn (NumPy, float64)."""
+    """Initial net with small random inner and zero outer weights, which adds no force (NumPy, float64)."""
     rng = np.random.default_rng([31, seed])
     draw = lambda *shape: rng.normal(0, 1 / np.sqrt(shape[-1]), shape)
     seen = 3 * links + 1 + WAKES
@@ -115,7 +116,7 @@ def blank(links: int, members: int = 5, hidden: int = 16, seed: int = 0) -> Net:
 
 
 def without(net: Net, *, memory: bool = True, products: bool = True) -> Net:
-    """Net with a wake that stays at rest, or without products, for comparison."""
+    """Net with a wake that stays at rest, or without products, for ablations."""
     off = [*([] if memory else ["wake", "wake_bias"]), *([] if products else ["even", "odd"])]
     return net._replace(**{name: 0.0 * getattr(net, name) for name in off})
 
@@ -128,37 +129,37 @@ def motion(xp, p: Panels, k: Links) -> MotionFeatures:
         k.u[i] * k.u[i] + k.w[i] * k.w[i] + k.omega[i] * (2 * p.middle[i] * k.w[i] + p.square[i] * k.omega[i]) for i in range(n)
     ]
     square = [xp.maximum(s, 0.0) for s in square]
-    # V is that of the whole fish: a link at rest still lies in water that the others move
+    # V is that of the whole fish, because a link at rest is in water that the others move
     whole = sum(a / area * s for a, s in zip(p.area, square, strict=True))
     speed = xp.sqrt(whole + FLOOR**2)
-    # features are divided by V, so forces scale with speed squared; one saturating feature distinguishes fast from slow
+    # dividing features by V makes forces scale with speed squared; one saturating feature still encodes the speed
     even = [*k.u, speed * speed / (speed + HALF)]
     odd = [*middle, *(k.omega[i] * p.length[i] for i in range(n))]
     return MotionFeatures([value / speed for value in (*even, *odd)], speed, [0.5 * (s + whole) for s in square], square, middle)
 
 
 class Halves(NamedTuple):
-    """Weights of a `Net`, split by the parity under a mirror of the inputs they act on. M = E H + G rows, those of N first."""
+    """Weights of a `Net`, split by the parity of their inputs under the mirror. M = E H + G rows, those of N first."""
 
-    even: Any  # (M, features and wake states that a mirror leaves alone)
-    odd: Any  # (M, those that it turns)
+    even: Any  # (M, number of even features and wake states)
+    odd: Any  # (M, number of odd ones)
     bias: Any  # (M, 1)
-    forward: Any  # (E, N, H), half of what gives F_t
+    forward: Any  # (E, N, H), half the weights of F_t
     forward_bias: Any  # (E, N, 1)
-    aside: Any  # (E, 2 N, H), half of what gives F_n and the couple
-    squares: Any  # (N, products that a mirror leaves alone)
-    crossed: Any  # (2 N, products that it turns)
+    aside: Any  # (E, 2 N, H), half the weights of F_n and the couple
+    squares: Any  # (N, number of even products)
+    crossed: Any  # (2 N, number of odd products)
     length: Any  # (G, 1) l, m
 
 
 def halves(xp, net: "Net | Halves") -> Halves:
-    """Weights sorted by parity; those of one net in NumPy arrays are sorted once. `Halves` are returned unchanged."""
+    """Weights split by parity; the result for the last NumPy net is cached. `Halves` are returned unchanged."""
     global _sorted
     if isinstance(net, Halves):
         return net
     known = all(isinstance(part, np.ndarray) for part in net)
     if known:
-        xp, before = np, _sorted  # read once: another thread may put another net there
+        xp, before = np, _sorted  # read once, because another thread may replace it
         if before[0] is net:
             return before[1]
     links, (members, units) = len(net.even), net.inner.shape[:2]
@@ -170,7 +171,7 @@ def halves(xp, net: "Net | Halves") -> Halves:
         even=xp.concatenate([x_even, z_even], 1),
         odd=xp.concatenate([x_odd, z_odd], 1),
         bias=bias,
-        # the half of a mean over two branches; the bias of the odd outputs is the same in both and cancels
+        # factor 1/2 of the mean over both branches; the bias of odd outputs is equal in both and cancels
         forward=0.5 * net.outer[:, :links],
         forward_bias=net.outer_bias[:, :links, None],
         aside=0.5 * net.outer[:, links:],
@@ -218,7 +219,7 @@ def load(p: Panels, rho: float, m: MotionFeatures, i: int, g) -> tuple:
 
 
 def dissipated(xp, s: strip_forces.Strips, c: strip_forces.Coefficients, k: Links):
-    """Power that drag and friction take from the motion relative to the water, W; never negative."""
+    """Power dissipated by drag and friction, in the frame of the water, W; never negative."""
     total: Any = 0.0
     for i in range(len(s.mu)):
         ft, fn, moment = strip_forces.resistive(xp, s, c, i, k.u[i], k.w[i], k.omega[i])
@@ -238,7 +239,7 @@ PRECISION = "highest"  # of matrix products in JAX
 
 
 class ParityInput(NamedTuple):
-    """The input of an instant by parity, and the shape of its batch."""
+    """Inputs at one instant, split by parity, and the shape of the batch."""
 
     even: Any  # (N + 1 + G / 2, B)
     odd: Any  # (2 N + G / 2, B)
@@ -253,7 +254,7 @@ def rows_of(xp, x: list, z: list) -> ParityInput:
 
 
 def _given(xp, net: "Net | Halves", m: MotionFeatures, z: list) -> tuple[Halves, ParityInput]:
-    """Weights and rows of one instant; JAX gets the weights in the precision of the rows."""
+    """Weights and inputs of one instant; in JAX the weights get the precision of the inputs."""
     weights, rows = halves(xp, net), rows_of(xp, m.x, z)
     return weights if xp is np else Halves._make(xp.asarray(part, rows.even.dtype) for part in weights), rows
 
@@ -261,8 +262,8 @@ def _given(xp, net: "Net | Halves", m: MotionFeatures, z: list) -> tuple[Halves,
 def _hidden(xp, weights: Halves, rows: ParityInput) -> tuple:
     """tanh of both branches, (M, B) each.
 
-    A mirrored input differs only in the sign of its odd half: A S s = A_e e - A_o o. Both branches are therefore the sum and the
-    difference of the products of one branch, and they are exchanged, to the bit, if the input is mirrored.
+    A mirrored input differs only in the sign of its odd half: A S s = A_e e - A_o o. Both branches are therefore the sum and
+    difference of the same two products, and a mirrored input exchanges them, to the bit.
     """
     p, q = _times(xp, weights.even, rows.even) + weights.bias, _times(xp, weights.odd, rows.odd)
     return xp.tanh(p + q), xp.tanh(p - q)
@@ -273,12 +274,12 @@ def _bounded(xp, weights: Halves, rows: ParityInput, hidden: tuple):
     members, links, units = weights.forward.shape
     plus, minus = (xp.reshape(branch, (members, units, -1)) for branch in hidden)
     e, o = rows.even[: links + 1], rows.odd[: 2 * links]
-    # potential-flow forces are such products: given directly, they leave the hidden units for the forces that are not potential
+    # potential-flow forces are such products; with them the hidden units need only represent the other forces
     squares = xp.concatenate([part[i] * part[i:] for part in (e, o) for i in range(len(part))])
     crossed = xp.reshape(e[:, None] * o, (len(e) * len(o), -1))
     forward = _times(xp, weights.forward, plus + minus) + weights.forward_bias + _times(xp, weights.squares, squares)
     aside = _times(xp, weights.aside, plus - minus) + _times(xp, weights.crossed, crossed)
-    # bounded smoothly: a clip has no gradient, and motion outside the data must not cause a large force
+    # a smooth bound limits forces outside the data; a clip would have no gradient
     g = BOUND * xp.tanh(xp.concatenate([forward, aside], 1) / BOUND)
     return xp.reshape(g, (members, 3, links, *rows.shape))
 
@@ -289,11 +290,11 @@ def _moved(xp, weights: Halves, rows: ParityInput, hidden: tuple, m: MotionFeatu
     half = WAKES // 2
     target = 0.5 * xp.concatenate([plus[:half] + minus[:half], plus[half:] - minus[half:]])
     before = xp.concatenate([rows.even[-half:], rows.odd[-half:]])
-    # exact for constant V: stable for any learnt length and step, and for frozen motion the same wake at 4 ms as at 20 ms
+    # exact for constant V, so stable for any learnt length, and independent of the step size for steady motion
     decay = xp.exp(-dt * xp.reshape(m.speed, (1, -1)) / weights.length)
     return list(xp.reshape(target + (before - target) * decay, (WAKES, *rows.shape)))
 
 
 def _times(xp, a, b):
-    """Product a @ b in the precision of its operands; by default JAX on a GPU would round float32 to ten bits."""
+    """Product a @ b in full precision; by default JAX on a GPU rounds float32 operands to a ten-bit mantissa (TF32)."""
     return a @ b if xp is np else xp.matmul(a, b, precision=PRECISION)

@@ -1,4 +1,4 @@
-"""The water of one fish with a free root: a six-dimensional wrench on every link, in MuJoCo's coordinates.
+"""Water of one fish with a free root: a six-dimensional wrench on every link, in MuJoCo's coordinates.
 
 Link frame: x to the nose, y left, z up, origin at the link's front hinge (head: reference point). nu = (v, omega) of the
 origin relative to the water, in link axes; J(q) its Jacobian, A the added mass of the link about the origin.
@@ -10,18 +10,17 @@ origin relative to the water, in link axes; J(q) its Jacobian, A the added mass 
 
 In the plane, with nothing vertical, F, the drag and the residual are those of `planar_chain` (tests/test_inject.py). Beyond it:
     lateral     mu and Cn of the plane, at w = v_y + omega_z x; vertical the same with the width for the height
-    residual    in the plane of each link: F_t, F_n and the couple about z from u = v_x, w = v_y, Omega = omega_z of all links, as
-                the strips' lateral forces. It was learnt in the plane: it neither depends on heave, pitch and roll nor adds to
-                them, and on a fish that rolls it acts in the turned link axes
+    residual    as learnt in the plane: F_t, F_n and the couple about z of each link, from u = v_x, w = v_y, Omega = omega_z of
+                all links in link axes. It does not depend on heave, pitch and roll
     roll        added inertia rho pi/8 (a^2 - b^2)^2 of each section; drag -rho Cn h ds r^2 sqrt(w^2 + (r p)^2) p, r = h/4:
                 the exact integral of the cross-flow drag over the height when w = 0
     fins        plates of chord c, span b: added mass rho pi/4 b^2 c, drag 1/2 rho Cn S |w_f| w_f (Cn of the tail plate),
                 lift 1/2 rho S (pi b/2c) |u| w_f (Jones 1946), w_f the vertical velocity at the plate's centre
-    weight      carried by MuJoCo; buoyancy equals the nominal weight of each link, above its centre of mass on the long axis:
-                every link is trimmed by itself (foam, lead), as the default fish is described; else a bent fish rolls over
+    weight      computed by MuJoCo. Buoyancy equals the nominal weight of each link and acts above its centre of mass on the long
+                axis: each link is trimmed by itself (foam, lead), otherwise a bent fish would roll over
 
-Left out: the surface (depth has no effect), vertical trailing-edge flux, torsion of the tail, and a residual for a fish that
-heaves or pitches.
+Not modelled: the free surface (depth has no effect), vertical trailing-edge flux, torsion of the tail, and a residual for heave
+and pitch.
 """
 
 from math import pi
@@ -200,11 +199,11 @@ def _cross(a, b) -> np.ndarray:
 def jacobians(data, n: int) -> Frames:
     """Kinematics of n links.
 
-    Written out instead of calling mj_jac, because a water must not call MuJoCo from inside its callback.
+    Implemented here instead of mj_jac, because the callback must not call MuJoCo.
     """
     nv = 5 + n
     turns, points = data.xmat[1 : n + 1].reshape(n, 3, 3), data.xpos[1 : n + 1]
-    # the rotational columns: three axes of the head about its origin, then one hinge a link; each moves the links behind it
+    # rotational columns: three axes of the head about its origin, then one hinge per link; each moves the links behind it
     axes = np.concatenate([turns[0].T, turns[1:, :, 2]])
     origins = np.concatenate([points[[0, 0, 0]], points[1:]])
     moved = np.concatenate([np.ones((n, 3)), np.tri(n, n - 1, -1)], 1)[:, :, None]

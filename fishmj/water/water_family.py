@@ -1,21 +1,21 @@
-"""A family of waters: fits to the flow solver at several slip ratios, between which every episode draws a water of its own.
+"""Family of waters: fits to the flow solver at several slip ratios, between which every episode draws its water.
 
     c = f ((1 - w) A + w B + (A_e - A))
-    A, B   strip coefficients of two members, drawn independently; w in [0, 1) between them, one for drag and one for the rest:
-           two waters of equal thrust may brake differently, and the fits tell the two apart less well than their sum
-    N      the learnt residual is A's; w goes to 1/2 only, as far as A is the nearer, if B has another
-    A_e    member e of A's ensemble: the error bar of that fit
-    f      a factor for each coefficient, within `scatter`, of drag within `drag`, except for the shape of the stall and the
-           suction; those of the trailing edge are k_e, k_e a, k_e b, since forces can be averaged and a fit may have k_e = 0.
-           That of the share of the learnt residual lies within `residual`
+    A, B   strip coefficients of two members, drawn independently; w in [0, 1) interpolates, one w for drag and one for the rest,
+           because the fits identify thrust minus drag better than each alone
+    N      the learnt residual is that of A; if B has another, w is at most 1/2, so that A is the nearer
+    A_e    member e of A's ensemble, which represents the uncertainty of that fit
+    f      a random factor for each coefficient, within `scatter`, of drag within `drag`; none for stall shape and suction.
+           Trailing-edge coefficients are k_e, k_e a, k_e b, because forces can be averaged and a fit may have k_e = 0.
+           The factor of the learnt residual's share lies within `residual`
 
-In a stream the fish could not hold in every such water: with v_m the speed of the fastest gait in member m, a draw whose
-(1 - w) v_A + w v_B is below `RESERVE` times the stream, for either w, moves towards the fastest member until it is not.
+A fish cannot hold station in a fast stream in every such water. With v_m the speed of the fastest gait in member m, a draw with
+(1 - w) v_A + w v_B below `RESERVE` times the stream, for either w, moves towards the fastest member until it is not below.
 
-Engines on a GPU take fish whose residual is the same side by side: of `MANY` fish or more, `RUN` neighbours have the same A.
+GPU engines need neighbouring fish with the same residual: in batches of `MANY` or more, `RUN` neighbours have the same A.
 
-A family is a TOML file, `<name>.toml` with schema `fishmj.water-family/1`. Its members lie beside it, or come with fishmj. The
-first is the water of a fish that is not randomised.
+A family is a TOML file, `<name>.toml`, with schema `fishmj.water-family/1`. Its members are in the same folder or come with
+fishmj. The first is the water of a fish without randomisation.
 """
 
 import hashlib
@@ -35,11 +35,11 @@ from fishmj.water.hydro_model import HydroModel, shipped
 from fishmj.water.prior import STEEPEST, flat, names_of, unflat
 
 KEPT = ("stall_angle", "stall_width", "stall_lag", "suction", "residual")  # coefficients without a factor
-EDGE = ("ke", "lift_a", "lift_b")  # of the trailing edge
+EDGE = ("ke", "lift_a", "lift_b")  # coefficients of the trailing edge
 DRAG = ("cn", "cf", "ca_forward", "ca_backward")
 N_FIXED = 6  # uniforms before those of the factors: A, B, w, e, factor of the residual's share, w of drag
 MANY, RUN = 4096, 128  # residual_step.FEWEST, planar_kernel.BLOCK
-RESERVE = 1.3  # speed of the fastest gait over that of the stream, at least: a fish has to turn and to make up ground
+RESERVE = 1.3  # minimal ratio of the fastest gait to the stream, because a fish also has to turn and to catch up
 EXPECTED = {
     "schema": "'fishmj.water-family/1'",
     "name": "1 to 64 letters, digits, '_', '.' or '-'",
@@ -73,9 +73,9 @@ class WaterFamily:
     Attributes:
         members: the fitted waters. nets: their learnt residuals, each once. net: (M,) int, which is whose.
         base: (M, P) their coefficients, flat, as `_forces`. deviation: (M, E, P) of the ensembles' members from them.
-        scatter: largest relative change of a coefficient. residual: bounds of the factor of the residual's share.
-        drag: mask (P,) of the drag's coefficients, and drag_factors their bounds; default, those of `scatter`.
-        fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not bound the draws.
+        scatter: largest relative change of a coefficient. residual: bounds of the factor on the residual's share.
+        drag: mask (P,) of the drag coefficients. drag_factors: their bounds; default, those of `scatter`.
+        fastest: (M,) m/s, speeds of the members' fastest gaits; empty: streams do not restrict the draws.
     Raises:
         ConfigError: members of different bodies or time steps or all the same, residuals of different sizes, another number of
         speeds, or reversed bounds. `where` begins the message: the file, by default the name.
@@ -112,7 +112,7 @@ class WaterFamily:
             if bounds[0] > bounds[1]:
                 raise ConfigError(f"{where} {key}: got {list(bounds)}, expected the smaller number first; exchange the two")
         self.name, self.members, self.scatter, self.residual = name, members, scatter, residual
-        self._own = [] if drag is None else [drag]  # what older families do not state
+        self._own = [] if drag is None else [drag]  # hashed only if stated, so that older families keep their hash
         self.names = names_of(len(first.base.k))
         self.base = self._forces(np.stack([flat(model.base) for model in members]))
         count = min(len(model.members) for model in members)
@@ -126,7 +126,7 @@ class WaterFamily:
 
     @property
     def sha256(self) -> str:
-        """Hex digest of all members and of what is drawn between them."""
+        """Hex digest of all members and of the bounds of the draws."""
         parts = [*(model.sha256 for model in self.members), self.base.tobytes().hex(), self.deviation.tobytes().hex()]
         drawn = [self.scatter, self.residual, *self.fastest.tolist(), *self._own]
         return hashlib.sha256(repr([*parts, *drawn]).encode()).hexdigest()
@@ -139,7 +139,7 @@ class WaterFamily:
     def draw(self, xp, uniforms, strength: float = 1.0, stream=None):
         """Strip coefficients (B, P) from uniforms (B, width); strength 0 gives the first member.
 
-        stream: (B,) m/s, in which the fish has to hold; None: any.
+        stream: (B,) m/s, in which the fish must be able to hold station; None: no restriction.
         """
         u, base, deviation = uniforms, xp.asarray(self.base), xp.asarray(self.deviation)
         a, b, e = self._drawn(xp, u)
@@ -160,7 +160,7 @@ class WaterFamily:
         return self._coefficients(xp, rows, share)
 
     def warn_beyond(self, slowest: float) -> None:
-        """Warns once if in streams of `slowest` m/s and more every draw is the fastest member."""
+        """Warns once if every draw is the fastest member in streams of `slowest` m/s or more."""
         if len(self.fastest) and RESERVE * slowest > (top := self.fastest.max()):
             member = self.members[int(np.argmax(self.fastest))].name
             console.warn_once(
@@ -169,7 +169,7 @@ class WaterFamily:
             )
 
     def net_of(self, xp, uniforms, strength: float = 1.0):
-        """Which of `nets` acts in the waters of `draw`, (B,) int."""
+        """Index (B,) in `nets` of the residual of each water of `draw`."""
         own = xp.asarray(self.net)[self._drawn(xp, uniforms)[0]]
         return xp.where(strength > 0, own, self.net[0]).astype("int32")
 
@@ -180,7 +180,7 @@ class WaterFamily:
         return planar_chain.nominal(robot)._replace(water=unflat(water[0].tolist()), net=int(net[0]))
 
     def _drawn(self, xp, u) -> tuple:
-        """Members A and B, and A's member of the ensemble, (B,) int each."""
+        """Indices (B,) of the members A and B, and of the member of A's ensemble."""
         count, size = self.deviation.shape[:2]
         a, b, e = (xp.minimum((u[:, k] * n).astype("int32"), n - 1) for k, n in ((0, count), (1, count), (3, size)))
         if len(self.nets) > 1 and len(u) >= MANY:
@@ -188,7 +188,7 @@ class WaterFamily:
         return a, b, e
 
     def _forces(self, rows: np.ndarray) -> np.ndarray:
-        """Coefficients (.., P) with k_e a and k_e b in the place of a and b: forces may be averaged, their ratios may not."""
+        """Coefficients (.., P) with k_e a and k_e b in place of a and b, because forces may be averaged, ratios may not."""
         ke, a, b = (self.names.index(key) for key in EDGE)
         made = np.array(rows)
         made[..., a], made[..., b] = rows[..., ke] * rows[..., a], rows[..., ke] * rows[..., b]

@@ -52,8 +52,8 @@ def load(domain_name: str, task_name, task_kwargs=None, environment_kwargs=None,
 def register() -> None:
     """Adds the tasks to dm_control's domain `fish` and to its task lists; a second call changes nothing.
 
-    They are not in dm_control's `BENCHMARKING`, which promises rewards from 0 to 1; the paper's reward may be negative.
-    Names imported from `dm_control.suite` before (`from dm_control.suite import ALL_TASKS`) do not change.
+    They are not in dm_control's `BENCHMARKING`, whose rewards lie in [0, 1]; the paper's reward may be negative. Names imported
+    from `dm_control.suite` earlier (`from dm_control.suite import ALL_TASKS`) do not change.
     """
     for name, factory in _OWN.items():
         if name not in _dm.fish.SUITE:

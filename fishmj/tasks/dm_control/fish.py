@@ -1,10 +1,10 @@
-"""The fish domain: `rl.control` tasks made from `fishmj.tasks`, one factory a task.
+"""The fish domain of dm_control: `rl.control` tasks made from `fishmj.tasks`, one factory for each task.
 
     observation   target (2) m, velocity (2) m/s, yaw_rate (1) rad/s, joint (3) rad, joint_rate (3) rad/s, body frame, as the
                   camera and the encoders give them; `flat_observation=True` joins them in this order
     action        (3,) in [-1, 1]: desired joint angles over +-60 deg
-    end           left the domain: LAST with discount 0. Time is up: LAST with discount 1, which is how dm_env marks a truncation:
-                  bootstrap from it.
+    end           fish left the domain: LAST with discount 0. Time limit: LAST with discount 1, dm_env's mark of a truncation
+                  (bootstrap there).
 
 The flow is in `env.task.scenario` for logs; no observation has it.
 """
@@ -33,7 +33,7 @@ from fishmj.water import choice
 
 SUITE = containers.TaggedTasks()
 DOMAIN = "fish"
-OURS = ("time_limit", "control_timestep", "n_sub_steps")  # arguments of dm_control's Environment that the task sets
+OURS = ("time_limit", "control_timestep", "n_sub_steps")  # arguments of dm_control's Environment that the task sets itself
 DM_OPTIONS = ("flat_observation", "legacy_step")  # the others
 SOLVER = ("domain", "slip", "device", "finer", "width", "passes", "sharpness", "storage")  # options of `engines.lbm.LbmEngine`
 
@@ -69,9 +69,7 @@ def environment(name: Any, random, environment_kwargs, root: str, setting: dict)
     water = choice.chosen(load_robot(asked.robot), asked.water).announced()
     checked_name("root", root, ROOTS)
     if root == "free" and water.kind in choice.SOLVED:
-        raise ConfigError(
-            f"suite: water {water.kind!r} acts on a fish with a planar root; choose root = 'planar', or another water"
-        )
+        raise ConfigError(f"suite: water {water.kind!r} supports only a planar root; choose root = 'planar', or another water")
     for option, value, kind in (("solver", solver, choice.LBM), ("hybrid", corrected, choice.HYBRID)):
         if value is not None and water.kind != kind:
             raise ConfigError(f"suite: {option} has the options of water {kind!r}, got water {water.kind!r}; leave it out")
@@ -105,11 +103,11 @@ def table_of(where: str, given: Any, known: Iterable[str] | None = None) -> dict
 
 
 class FishTask(base.Task):
-    """Observation, reward, start and end of one course.
+    """dm_control task of one course: observation, reward, start and end.
 
     Attributes:
         scenario: draws of the running episode (batch of one): start, flow, fish, camera. Never observed.
-        trace: the bus ticks of the control step just taken; None at the start.
+        trace: bus ticks of the last control step; None at the start.
     """
 
     trace: Trace | None
@@ -146,7 +144,7 @@ class FishTask(base.Task):
         physics.send(commands[0])
 
     def after_step(self, physics: Physics) -> None:
-        """Moves the target, takes the camera's pictures, draws the sensors' noise; then sets colours, as an option."""
+        """Moves the target, updates the camera, draws the sensors' noise, and sets colours if requested."""
         trace = physics.trace()
         if trace.pose.shape[1]:
             self.count += 1
@@ -168,7 +166,7 @@ class FishTask(base.Task):
         return OrderedDict((name, part.copy()) for name, part in zip(widths, parts, strict=True))
 
     def get_reward(self, physics: Physics) -> float:
-        """The task's reward of the control step just taken."""
+        """Reward of the last control step."""
         pose = self.window.pose[:, -1]
         target = self._target()[None]
         trace = self.trace

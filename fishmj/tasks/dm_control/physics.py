@@ -1,4 +1,4 @@
-"""The fish in its water as a dm_control `Physics`: bus commands in, poses out.
+"""dm_control `Physics` of the fish in its water: bus commands in, poses out.
 
     planar root   Q_water - M_a a goes into qfrc_applied before each mj_step      (`engines.single.closed_form`)
     free root     the water's wrench on every link goes into xfrc_applied         (`engines.single.WrenchWater`)
@@ -9,10 +9,10 @@ by side.
 A `Physics` holds more than MuJoCo's state: commands under way, tail attachment, the flow. `copy`, a deep copy and a pickle
 include all of it; `get_state` and `set_state` cover MuJoCo's part only.
 
-`SolverPhysics` is of a fish in the flow solver, `HybridPhysics` of one in a fitted water that the solver corrects while it swims.
-The solver moves its own copy of the fish, one bus tick at a time. MuJoCo's data here take over its pose and velocity, so that
-observations, rendering and named accessors work as in every other water. Each episode fills a tank of its own and first holds
-the fish for a second, until the stream round it has developed.
+`SolverPhysics` is a fish in the flow solver, `HybridPhysics` one in a fitted water with online correction by the solver. The
+solver moves its own copy of the fish, one bus tick at a time. Its pose and velocity are copied to MuJoCo's data, so that
+observations, rendering and named accessors work as in every water. Each episode fills a new tank, and first holds the fish for a
+second, until the flow around it has developed.
 """
 
 import copy
@@ -85,7 +85,7 @@ def _tank(world, bound: float, depth: float) -> None:
     for i, (name, x, y) in enumerate((("east", 1, 0), ("north", 0, 1), ("west", -1, 0), ("south", 0, -1))):
         size = [0.01, bound, 0.02] if i % 2 == 0 else [bound, 0.01, 0.02]
         tank.add_geom(name=f"{name}_edge", size=size, pos=[x * bound, y * bound, 0.02 - depth], rgba=[0.25, 0.32, 0.38, 1], **box)
-    height = 2 * bound / 0.8284  # 45 degrees of view over the whole domain
+    height = 2 * bound / 0.8284  # a 45-degree field of view shows the whole domain
     world.add_camera(name="top", pos=[0, 0, height], xyaxes=[1, 0, 0, 0, 1, 0])
     world.add_camera(name="corner", pos=[0, -1.5 * bound, 1.3 * bound], xyaxes=[1, 0, 0, 0, 0.65, 0.76])
     sun = dict(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=[0.45] * 3, specular=[0.1] * 3)
@@ -97,7 +97,7 @@ PERSONAL = ("body_mass", "body_inertia", "actuator_gainprm", "actuator_biasprm",
 
 @dataclass
 class FishMemory:
-    """Commands, flow and trace of a fish beyond MuJoCo's data and its water. Arrays are replaced, never written to."""
+    """State of a fish besides MuJoCo's data and its water: commands, flow, trace. Arrays are replaced, never modified."""
 
     robot: Robot
     params: FishParams  # batch of one
@@ -116,7 +116,7 @@ class Physics(dm_mujoco.Physics):
     """A fish in water; make one with `Physics.of`.
 
     Attributes:
-        water: the water with its memory, a `HookedWater`, or the strips of a free root; None where a solver moves the fish.
+        water: the water with its memory, a `HookedWater`, or the strips of a free root; None if the solver moves the fish.
     """
 
     swim: FishMemory
@@ -128,9 +128,7 @@ class Physics(dm_mujoco.Physics):
         """Straight fish at rest in still water. Raises UnknownName for a root that does not exist."""
         physics = cls.from_model(wrapper.MjModel(passive_slot.compiled(build_scene(robot, root))))
         if root == "free" and robot.effects:
-            raise ConfigError(
-                "suite: effects act on a fish with a planar root; choose root = 'planar', or a robot without [[effect]]"
-            )
+            raise ConfigError("suite: effects need a planar root; choose root = 'planar', or a robot without [[effect]]")
         physics.water = physics._water_of(robot, root)
         model = physics.model
         physics._nominal = {name: getattr(model, name).copy() for name in PERSONAL}
@@ -153,21 +151,21 @@ class Physics(dm_mujoco.Physics):
         self.data.qpos[:] = reference_qpos(self.model.ptr, pose, params.zero[0])
         self.data.qvel[:] = 0.0
         rest = engines.at_rest(self.swim.robot, np.asarray(pose)[None])
-        self.swim = replace(  # a new one: copies made before keep theirs
+        self.swim = replace(  # a new object, because copies share the old one
             self.swim, params=params, current=current, buffer=rest.buffer, pending=self.swim.pending[:0],
             step=0, yaw=float(pose[2]), power=0.0, rows=(),
         )  # fmt: skip
         self._start_water(params)
 
     def send(self, commands) -> None:
-        """Queues bus commands (T, J) [rad], one a bus tick; the last one holds when they run out."""
+        """Queues bus commands (T, J) [rad], one per bus tick; after them the last one is repeated."""
         commands = np.asarray(commands, float)
         if commands.ndim != 2 or commands.shape[1] != self.model.nu or not np.isfinite(commands).all():
             raise ConfigError(f"suite: commands of shape {commands.shape}; expected finite (ticks, {self.model.nu}) in rad")
         self.swim.pending, self.swim.rows = commands, ()
 
     def set_control(self, control) -> None:
-        """Holds one command (J,) rad; the servo obeys after its latency."""
+        """Sets a constant command (J,) rad; it acts after the latency."""
         self.send(np.asarray(control, float)[None])
 
     def step(self, n_sub_steps: int = 1) -> None:
@@ -234,7 +232,7 @@ class Physics(dm_mujoco.Physics):
         if part == 0:
             self._next_tick()
         data.ctrl[:] = self._target(part)
-        # bound to the model anew: a copy of this physics has its own
+        # bind the model again, because a copy of this physics has its own
         water = WrenchWater(self.model.ptr, self.water) if isinstance(self.water, FreeWater) else self.water
         try:
             water.step(data)
@@ -249,11 +247,11 @@ class Physics(dm_mujoco.Physics):
             s.rows = (*s.rows, row)[-s.keep :]
 
     def _unwrapped(self, yaw: float) -> float:
-        """yaw, shifted by whole turns next to the last one recorded."""
+        """Yaw, unwrapped relative to the last recorded one."""
         return float(yaw + 2 * np.pi * np.round((self.swim.yaw - yaw) / (2 * np.pi)))
 
     def _personalise(self, params: FishParams) -> None:
-        """Writes one fish's masses and gains into the model, starting from the nominal ones."""
+        """Writes one fish's masses and gains into the model, relative to the nominal ones."""
         model = self.model.ptr
         for name, value in self._nominal.items():
             getattr(model, name)[:] = value
@@ -269,7 +267,7 @@ class Physics(dm_mujoco.Physics):
             if nets := engines.Extensions.of(self.swim.robot).nets:
                 water.learnt = nets[int(water.swimmer.net)]
             nominal = FreeWater(self.swim.robot).geometry
-            # a robot is trimmed after it is built: the buoyancy of each link follows its own weight
+            # a robot is trimmed after it is built, so each link's buoyancy equals its own weight
             water.geometry = replace(nominal, mass=nominal.mass * params.mass[0])
             water.attached, water.memory = 0.5, water.at_rest()
         else:
@@ -277,7 +275,7 @@ class Physics(dm_mujoco.Physics):
             water.start()
 
     def copy(self, share_model: bool = False) -> "Physics":
-        """Independent copy. Raises ConfigError for a fish in a water that allows only one swim."""
+        """Independent copy. Raises ConfigError for a water that cannot be copied."""
         own = self._own()
         new = super().copy(share_model)
         vars(new).update(own, swim=copy.copy(self.swim), water=copy.deepcopy(self.water))
@@ -343,7 +341,9 @@ class SolverPhysics(Physics):
         s = self.swim
         ticks, part = divmod(n_sub_steps, s.steps)
         if part:
-            raise ConfigError(f"suite: {n_sub_steps} physics steps in the flow solver; expected whole bus ticks of {s.steps}")
+            raise ConfigError(
+                f"suite: {n_sub_steps} physics steps in the flow solver; expected a multiple of {s.steps}, whole bus ticks"
+            )
         last = s.pending[-1:] if len(s.pending) else s.buffer[0, -1:]
         commands = np.concatenate([s.pending, np.repeat(last, ticks, 0)])[:ticks]
         self.fish, trace = self.engine.advance(self.fish, commands[None], s.params, s.current, np.array([s.step // s.steps]))
@@ -361,7 +361,7 @@ class SolverPhysics(Physics):
 
 
 class HybridPhysics(Physics):
-    """A fish with corrected water; make one with `HybridPhysics.corrected`. Every episode begins with the water as fitted.
+    """A fish in a corrected water; make one with `HybridPhysics.corrected`. Every episode starts with the uncorrected water.
 
     Attributes:
         hybrid: the corrections (`fishmj.engines.hybrid.Hybrid.report`).

@@ -1,12 +1,12 @@
-"""Gymnasium environments of the fish. Nothing heavy is loaded before `make`.
+"""Gymnasium environments of the fish; heavy packages are imported in `make`.
 
     import fishmj, gymnasium
 
     env  = gymnasium.make("fishmj/StationHold-v0")
     envs = gymnasium.make_vec("fishmj/StationHold-v0", num_envs=64)
 
-`import fishmj` registers the names (fishmj/tasks/gym_ids.py). Without it Gymnasium imports the module before a colon:
-"fishmj.tasks.gym:fishmj/StationHold-v0".
+`import fishmj` registers the ids (fishmj/tasks/gym_ids.py). Without it, use "fishmj.tasks.gym:fishmj/StationHold-v0", for which
+Gymnasium imports the module.
 """
 
 from fishmj.tasks.gym_ids import IDS, register

@@ -1,10 +1,10 @@
-"""One fish as a Gymnasium environment, on any engine, and many fish as one vector environment.
+"""Gymnasium environments: one fish on any engine, and many fish as a vector environment.
 
 terminated    the reference point left |x|, |y| <= 2 m
-truncated     the time is up (150 steps of 0.2 s); or the physics diverged, then info["diverged"] is True
+truncated     time limit (150 steps of 0.2 s), or the physics diverged, then info["diverged"] is True
 info          distance [m] to the target, power [W] of the servos, diverged; never the flow
 
-The vector environment is a faster `gymnasium.vector.SyncVectorEnv` of the single one: the same numbers in every autoreset mode.
+The vector environment returns the same numbers as a `SyncVectorEnv` of single ones, in every autoreset mode, but faster.
 """
 
 from dataclasses import replace
@@ -30,13 +30,13 @@ from fishmj.tasks.reference import named
 from fishmj.tasks.station_hold import input_scale, spans
 
 SIDE = 480  # pixels
-# Bounds of the observations, which Gymnasium requires to be finite: several times the values inside the domain, so that clipping
-# never acts on a sound simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.
+# Bounds of the observations, which must be finite: several times the values inside the domain, so that they never clip a sound
+# simulation. Target m, velocity m/s, yaw rate rad/s, joint rad, joint rate rad/s.
 LARGEST = (20.0, 10.0, 50.0, np.pi, 50.0)
 
 
 class FishRenderer:
-    """Draws one fish in the task's tank, as in a film of its replay; needs no screen. Raises MissingExtra without OpenCV."""
+    """Draws one fish in the task's tank, as replay videos do, without a display. Raises MissingExtra without OpenCV."""
 
     def __init__(self, robot: Robot):
         self.view = FromAbove((SIDE, SIDE), (0.0, 0.0), SIDE / (2 * constant("task", "bound")), (SIDE / 2, SIDE / 2))
@@ -50,7 +50,7 @@ class FishRenderer:
 
 
 def rules_of(task: Any, options: dict) -> TaskSpec:
-    """Rules from the keyword arguments of `gymnasium.make`: fields of `TaskOptions` and of the task's course.
+    """`TaskSpec` from the keyword arguments of `gymnasium.make`: fields of `TaskOptions` and of the task's course.
 
     task: a name, or your own as `module:Name`, `file.py:Name` or class; loading it runs it.
 
@@ -68,7 +68,7 @@ def observation_space(rules: TaskSpec) -> spaces.Box:
 
 
 def clipped(seen, space: spaces.Box) -> np.ndarray:
-    """Observations in the form that the space declares: float32, inside its bounds."""
+    """Observations as float32, clipped to the bounds of the space."""
     return np.clip(seen, space.low, space.high).astype(np.float32)
 
 
@@ -78,10 +78,10 @@ def action_space(rules: TaskSpec) -> spaces.Box:
 
 
 def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
-    """Starts that `reset(options=...)` fixes, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
+    """Values fixed by `reset(options=...)`, as arrays: pose (n, 3), target (n, 2), flow speed (n,) and direction (n,).
 
-    Raises ConfigError: an option that does not exist, of the wrong shape, or that this task decides by itself; a pose at which
-    the episode would end at once; a target there.
+    Raises ConfigError: an option that does not exist, has the wrong shape, or is set by the task itself; a pose or target outside
+    the domain.
     """
     widths = {"pose": (3,), "target": (2,), "speed": (), "direction": ()}
     own = getattr(rules.course, "decides", ())
@@ -92,7 +92,7 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
         if name not in widths:
             raise ConfigError(f"reset: unknown option {name!r}; known: {', '.join(widths)}")
         if name in own:
-            raise ConfigError(f"reset: {rules.name} decides {name} by itself; its own options go to gymnasium.make")
+            raise ConfigError(f"reset: the task {rules.name} sets {name} itself; give its options to gymnasium.make")
         try:
             fixed[name] = np.broadcast_to(np.asarray(value, float), (n, *widths[name])).copy()
         except (TypeError, ValueError) as error:
@@ -104,7 +104,7 @@ def fixed_by(rules: TaskSpec, options: dict | None, n: int) -> dict:
     for name in ("pose", "target"):
         if name in fixed and np.any(rules.outside(np, np.pad(fixed[name], [(0, 0), (0, 3 - widths[name][0])]))):
             place = shown_value(fixed[name].tolist())
-            raise ConfigError(f"reset: option {name} = {place}; expected a place inside the task's domain")
+            raise ConfigError(f"reset: option {name} = {place}; expected a position inside the task's domain")
     for speed in fixed.get("speed", ()):
         checked("reset: option speed", speed, 0, LARGEST_OPTIONS["flow_speed"])
     return fixed
@@ -116,7 +116,7 @@ def start_distance(episodes: Episodes) -> np.ndarray:
 
 
 def _at_zero(actions: Any, rows: np.ndarray) -> Any:
-    """Actions with those of the fish `rows` (n,) bool at zero; values that are not numbers stay, and the step refuses them."""
+    """Sets the actions of the fish `rows` (n,) bool to zero; leaves non-numeric values, which `step` refuses."""
     try:
         given = np.asarray(actions, float)
     except (TypeError, ValueError):
@@ -163,17 +163,17 @@ class _Fish:
         self._spec = None if spec is None else replace(spec, max_episode_steps=self.rules.limit)
 
     def _draw(self, i: int) -> np.ndarray:
-        """A picture of fish i."""
+        """Image of fish i."""
         self._picture = self._picture or FishRenderer(self.rules.robot)
         return self._picture.draw(self.episodes.fish.q[i], self.episodes.target[i])
 
     def __getstate__(self) -> dict[str, Any]:
-        """State without the drawing, which is made again on demand: OpenCV cannot be copied."""
+        """State without the renderer, which cannot be copied and is made again on demand."""
         return {**self.__dict__, "_picture": None}
 
     def _need_reset(self) -> None:
         if not self._begun:
-            raise ResetNeeded("gym: step before the first reset; call reset()")
+            raise ResetNeeded("gym: step was called before the first reset; call reset()")
 
 
 class FishEnv(_Fish, gymnasium.Env):
@@ -228,7 +228,7 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         num_envs: number of fish. The others as for `FishEnv`.
         autoreset_mode: "NextStep" (Gymnasium's default: the step after an end resets), "SameStep" (the last observation is in
             info["final_obs"]), "Disabled" (call reset with options={"reset_mask": (n,) bool}).
-        max_episode_steps: control steps after which an episode is truncated, if it is not shorter anyway; -1 for no such limit.
+        max_episode_steps: time limit in control steps, if below that of the task; -1 for none.
 
     Raises:
         ConfigError, UnknownName: an invalid argument.
@@ -275,8 +275,8 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
             options: further options fix pose, target, speed and direction: one value for all fish, or a row for each of the n.
 
         Returns:
-            Observations (n, 5 + 2 J); fish that do not restart have their last ones again. Info of fish that restart: `_key` is
-            True for them, and the value of the others is 0.
+            Observations (n, 5 + 2 J), for fish that do not restart their last ones; info, in which `_key` is True for fish that
+            restart, and the value of the others is 0.
         """
         mask, options = np.ones(self.num_envs, bool), options or {}
         if isinstance(options, dict) and "reset_mask" in options:
@@ -320,10 +320,10 @@ class FishVectorEnv(_Fish, vector.VectorEnv):
         mask = np.asarray(mask)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise ConfigError(
-                f"reset: reset_mask of shape {mask.shape}, {mask.dtype}; expected ({self.num_envs},) bool with one True at least"
+                f"reset: reset_mask of shape {mask.shape}, {mask.dtype}; expected ({self.num_envs},) bool with at least one True"
             )
         if not (self._begun or mask.all()):
-            raise ResetNeeded("reset: reset_mask before the first reset; reset all fish first")
+            raise ResetNeeded("reset: reset_mask is given before the first reset; reset all fish first")
         return mask
 
     def _seeds_of(self, seed) -> list:

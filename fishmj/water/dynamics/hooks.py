@@ -1,4 +1,4 @@
-"""Hooks of `planar_chain.step`: the sites at which effects may add to the swimming fish.
+"""Hooks of `planar_chain.step`: the points of a physics step at which effects act.
 
     fish(ch, sw)                masses and coefficients
     flow(ch, q, flow)           water velocity at each link, and its gradient along the link
@@ -7,19 +7,19 @@
     body(ch, sw, q, k, rhs, m)  forces and added masses of the whole body, into rhs and m
     end(ch, sw, v, drive)       memory for the next step
 
-`Effects` puts the effects of the catalogue there. The velocity of water that they move is linear along each link,
+`Effects` calls the effects of the catalogue there. The water velocity that they add is linear along each link,
 
     U(s) = U_c + (s - s_c) dU/ds,   DU/Dt = (U(x + e U, t + e) - U(x, t)) / e   at its centre
 
-whose normal part turns the fish, and whose acceleration pushes it as that of any stream (`strip_forces.ambient`).
+The normal part of dU/ds turns the fish, and DU/Dt pushes it like that of the background flow (`strip_forces.ambient`).
 """
 
 from fishmj.effects import EffectStack
 from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
 from fishmj.water.dynamics import planar_chain, strip_forces
 
-STILL = 0.0  # of every sum over the effects, before the first
-AHEAD = 0.02  # s, e
+STILL = 0.0  # initial value of each sum over effects
+AHEAD = 0.02  # s, step e of the finite difference
 
 
 class Effects:
@@ -27,16 +27,16 @@ class Effects:
 
     Args:
         active: the effects.
-        parameters, memory: flat lists in its order, scalars or arrays of one batch shape.
+        parameters, memory: flat lists in the order of the effects, scalars or arrays of one batch shape.
         wet: 0 on a bench in air.
     """
 
     def __init__(self, xp, active: EffectStack, parameters, memory, wet: float = 1.0):
         self.xp, self.wet = xp, wet
         self.session = active.begin(xp, parameters, memory)
-        self.passive: list = []  # N m, torques of each joint that do not come from its motor
-        self.supply: list = []  # of the nominal voltage, at each servo
-        self.stream: list = []  # m/s2, DU/Dt of what effects move at each link, along it and across
+        self.passive: list = []  # N m, torques of each joint that its motor does not make
+        self.supply: list = []  # voltage at each servo, as a share of the nominal voltage
+        self.stream: list = []  # m/s2, DU/Dt of the effects' flow at each link, along and across it
 
     def fish(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer):
         """Chain and swimmer with the masses and coefficients that the effects change."""
@@ -68,14 +68,14 @@ class Effects:
             s = self.session.servo(j, s, ch.dt)
             drive = xp.minimum(xp.maximum(s.kp * s.error - s.kv * s.rate, -s.limit), s.limit)
             g = self.session.gear(j, Gear(drive, angle, rate, 0.0, s.kb - sw.kb[j], self.wet, s.kb, s.limit), ch.dt)
-            drives.append(g.drive)  # the motor's alone: current and power follow it
+            drives.append(g.drive)  # motor torque only, which determines current and power
             resists.append(g.resist)
             self.supply.append(s.supply)
             self.passive.append(g.torque)
         return drives, resists
 
     def water(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, q, k: planar_chain.Links, hydro):
-        """Forces of the water on each link (N, N, N m), including those of the effects and of moved water."""
+        """Forces of the water on each link (N, N, N m), including the effects' forces and those of their flow."""
         if self.session.acts("water"):
             given = LocalWater(list(hydro), k.u, k.w, k.omega, q[0], q[1], self.session.time, self._instant(ch, sw, k))
             hydro = self.session.water(given, ch.dt).forces
@@ -85,7 +85,7 @@ class Effects:
         return [tuple(f + g for f, g in zip(force, more, strict=True)) for force, more in zip(hydro, push, strict=True)]
 
     def _instant(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, k: planar_chain.Links) -> list:
-        """Per-link force of the added mass at given velocities, (F_t, F_n, moment)."""
+        """Force of the added mass in the effects' flow on each link, (F_t, F_n, moment)."""
         bias = planar_chain.bias_forces(ch, sw, k, rigid=False)
         parts = [strip_forces.reactive(ch.strips, sw.water, i, k.u[i], k.w[i], k.omega[i], k.own[i]) for i in range(ch.n)]
         return [tuple(a + b for a, b in zip(f, g, strict=True)) for f, g in zip(bias, parts, strict=True)]
@@ -113,8 +113,8 @@ class Effects:
                 m[i] = [a + b.added * c for a, c in zip(m[i], row, strict=True)]
 
     def end(self, ch: planar_chain.Chain, sw: planar_chain.Swimmer, v, drive):
-        """Memory of the effects for the next step, given the servos' current."""
-        # the motor's current (drive - kb w) / K times the duty drive V_nominal / (V stall torque); nothing flows back
+        """Memory of the effects for the next step; updates the servos' current."""
+        # the motor's current (drive - kb w) / K times the duty cycle drive V_nominal / (V stall torque); no regeneration
         amps = (self.xp.maximum(d / self.supply[j] * (d - sw.kb[j] * v[3 + j]), 0.0) for j, d in enumerate(drive))
         current = sum(amps) / (ch.torque * ch.motor)
         return self.session.end(current, ch.dt)

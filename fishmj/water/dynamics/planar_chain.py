@@ -1,17 +1,17 @@
 """The planar fish in closed form: N links, 2 + N degrees of freedom, the water's added mass in the mass matrix.
 
-    (M + M_a + h D) a = f_servo - c + Q_water          solved each step, never lagged: M_a is up to 22 times M
+    (M + M_a + h D) a = f_servo - c + Q_water          M_a is up to 22 times M, so it is solved implicitly
     v' = v + h a,   q' = q + h v'                      semi-implicit Euler with implicit joint damping D, as MuJoCo's
 
 q = (x, y, psi, j_1 .. j_{N-1}): reference point in the world [m], heading and joint angles [rad].
-Worked in head axes with absolute link rates Omega_i = psi' + j_1' + .. + j_i'. Link i starts at P_i, and
+The equations use head axes and absolute link rates Omega_i = psi' + j_1' + .. + j_i'. Link i starts at P_i, and
     V_i = V + sum_{j<i} d_j Omega_j n_j,   A_i = A + sum_{j<i} d_j (alpha_j n_j - Omega_j^2 t_j),   b_j = d_j n_j
     K_i = m_i 1 + m0_i n n^T,  S_i = m_i s_i + m1_i,  J_i = I_i + m_i s_i^2 + m2_i
     M_xj = g_j = (sum_{i>j} K_i) b_j + S_j n_j,   M_jk = b_j . g_k (j < k),   M_jj = b_j . (sum_{i>j} K_i) b_j + J_j
 Featherstone 2008 gives the rigid part; it equals MuJoCo's mass matrix and bias to round-off (tests/test_mjcf.py).
 
-Components style: every quantity is a list of scalars or equal-shaped arrays, so one definition serves NumPy, JAX,
-MJX and the compiled CPU evaluator, which is generated from it.
+Every quantity is a list of scalars or of arrays of one shape, so that one definition serves NumPy, JAX, MJX and the compiled CPU
+engine, which is generated from it.
 """
 
 from typing import Any, NamedTuple
@@ -52,11 +52,11 @@ class Links(NamedTuple):
 
     t: list  # (tx, ty)
     n: list  # (nx, ny)
-    omega: list  # yaw rate, relative to the water where that turns along the link
+    omega: list  # yaw rate, relative to the water's rotation if its velocity varies along the link
     u: list  # t.(V_i - U_i)
-    w: list  # n.(V_i - U_i), U_i at the link's origin where the water turns, elsewhere at its centre
+    w: list  # n.(V_i - U_i), U_i at the link's centre, or at its origin if the water's velocity varies along the link
     bias: list  # A_i for zero generalised acceleration, (x, y)
-    rates: Any = ()  # yaw rate in the world where omega is not that
+    rates: Any = ()  # yaw rate in the world, if omega is a relative one
 
     @property
     def own(self) -> list:
@@ -180,7 +180,7 @@ def bias_forces(ch: Chain, sw: Swimmer, k: Links, *, rigid: bool = True, water: 
 
 
 def water_forces(xp, ch: Chain, sw: Swimmer, k: Links, heading, ambient, attached):
-    """Per-link water forces except M_a a: strips, trailing edge, ambient acceleration [world m/s2], M_a's own bias."""
+    """Water forces on each link except M_a a: strips, trailing edge, ambient acceleration [world m/s2], bias of M_a."""
     cp, sp = xp.cos(heading), xp.sin(heading)
     dx, dy = cp * ambient[0] + sp * ambient[1], cp * ambient[1] - sp * ambient[0]
     out = []
@@ -235,7 +235,7 @@ class Step(NamedTuple):
     power: Any  # servos only, W
     applied: list  # generalised force that makes MuJoCo take the same step, N and N m
     accel: list  # (ax, ay, alpha_i) in head axes
-    memory: tuple = ()  # what hooks remember
+    memory: tuple = ()  # memory of the hooks
 
 
 def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hooks=None) -> Step:
@@ -250,7 +250,7 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         hooks: additions to the fish at the sites of hooks.py; None adds nothing and costs nothing.
     """
     h = ch.dt
-    # kept: `applied` is for MuJoCo, which has the robot as described, without the changes of the hooks
+    # originals for `applied`: MuJoCo has the robot as described, without the hooks' changes
     given = (ch, sw)
     if hooks is not None:
         ch, sw = hooks.fish(ch, sw)
@@ -260,8 +260,8 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         drive, resist = servo_drive(xp, ch, sw, q, v, target), [0.0] * (ch.n - 1)
     else:
         drive, resist = hooks.servos(ch, sw, q, v, target)
-    # all forces at the velocities before the step, except those proportional to the acceleration: these are in the matrix,
-    # because an added mass of up to 22 times M, lagged by a step, is unstable at any step size
+    # forces use the velocities before the step. Those proportional to the acceleration are in the matrix: an added mass of up to
+    # 22 times M with a delay of one step would be unstable at any step size
     hydro = water_forces(xp, ch, sw, k, q[2], ambient, attached)
     if hooks is not None:
         hydro = hooks.water(ch, sw, q, k, hydro)
@@ -270,11 +270,11 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
     m = mass_matrix(ch, sw, k)
     if hooks is not None:
         hooks.body(ch, sw, q, k, rhs, m)
-    # back-EMF is stiff: h kb is many times the inertia of a middle link, so explicit damping would need a far smaller step
+    # back-EMF is stiff: h kb is many times the inertia of a middle link, so explicit damping would need a much smaller step
     damp_joints(ch, v, drive, [kb + r for kb, r in zip(sw.kb, resist, strict=True)], rhs, m)
     a = solve(m, rhs)
     if hooks is None:
-        # without hooks MuJoCo lacks only the water, Q - M_a a; hooks may change any term, so the whole balance is used then
+        # without hooks MuJoCo lacks only the water, Q - M_a a; hooks may change any term, so the full force balance is used
         added = mass_matrix(ch, sw, k, rigid=False)
         inertia = [sum(added[max(r, c)][min(r, c)] * a[c] for c in range(ch.n + 2)) for r in range(ch.n + 2)]
         applied = generalised(xp, ch, q[2], [f - g for f, g in zip(gather(ch, k, hydro), inertia, strict=True)])
@@ -282,10 +282,10 @@ def step(xp, ch: Chain, sw: Swimmer, q, v, attached, target, flow, ambient, hook
         applied = generalised(xp, ch, q[2], missing(xp, *given, q, v, target, k, a))
     accel = to_world(xp, ch, q[2], a)
     v_new = [vi + h * ai for vi, ai in zip(v, accel, strict=True)]
-    # with the new velocity: semi-implicit Euler keeps the energy of a swinging joint bounded, explicit Euler feeds it
+    # semi-implicit Euler uses the new velocity, and keeps the energy of a swinging joint bounded; explicit Euler adds energy
     q_new = [qi + h * vi for qi, vi in zip(q, v_new, strict=True)]
     last = ch.n - 1
-    # from the motion before the step, as in `Handle.step`, so that all engines do the same step to round-off
+    # uses the motion before the step, as `Handle.step` does, so that all engines agree to round-off
     x_new = strip_forces.attachment(xp, ch.strips, sw.water, k.u[last], k.w[last], k.omega[last], attached, h)
     power = electrical_power(xp, sw, v, drive)
     memory = () if hooks is None else tuple(hooks.end(ch, sw, v, drive))
@@ -316,7 +316,7 @@ def missing(xp, ch: Chain, sw: Swimmer, q, v, target, k: Links, a) -> list:
 def solve(m, rhs):
     """Solves A x = rhs for a symmetric positive definite A given by its lower triangle (LDL^T, unrolled); returns x."""
     size = len(rhs)
-    # LDL^T and not Cholesky: no square root, and the reciprocal of a pivot is computed once for a whole column
+    # LDL^T instead of Cholesky avoids square roots, and needs one reciprocal for each column
     low = [[None] * size for _ in range(size)]
     inv = [None] * size
     for j in range(size):
@@ -328,11 +328,11 @@ def solve(m, rhs):
             value = m[i][j]
             for k in range(j):
                 value = value - low[i][k][1] * low[j][k][0]
-            # the product L_ij D_j is wanted twice below, so both stand in the table
+            # L_ij D_j is needed twice below, so the table holds both
             low[i][j] = (value * inv[j], value)  # (L_ij, L_ij D_j)
     x = list(rhs)
-    # L y = b, then D L^T x = y. No pivoting: A is a mass matrix plus damping, positive definite, and a row exchange would depend
-    # on values, which straight-line code for a whole batch cannot do
+    # L y = b, then D L^T x = y. No pivoting: A is positive definite, and row exchanges, which depend on values, are impossible in
+    # straight-line code for a batch
     for i in range(size):
         for k in range(i):
             x[i] = x[i] - low[i][k][0] * x[k]

@@ -1,4 +1,4 @@
-"""Hydrodynamic forces on one link, as a sum of small pure terms.
+"""Hydrodynamic strip forces on one link, as a sum of pure terms.
 
 Link frame: t along the link towards the nose, n to its left. At a point x along the link, relative to the local water,
     u = t.(v - U)            the same all along the link                                  [m/s]
@@ -6,17 +6,17 @@ Link frame: t along the link towards the nose, n to its left. At a point x along
 
 reactive     f_n = -mu (n.a - Omega u),  f_t = s mu w Omega,  c_z = -s mu w u    Lighthill 1971; Candelier et al. 2011,
              doi 10.1017/S002211201000649X; mu = k rho pi/4 h^2 per length. The part with n.a is the added mass.
-             s = 1 on the head, whose nose is closed. The other links have no front end of their own: pressure acts across
-             a straight piece and its axial force is the suction that a free leading edge would have (Polhamus 1966, NASA
-             TN D-3767), of which they recover the share s. Together the two terms with s do no work.
+             s = 1 on the head, whose nose is closed. The other links have no leading edge: s is the share that they recover
+             of the leading-edge suction of a free link (Polhamus 1966, NASA TN D-3767). The two terms with s do no work
+             together.
 cross-flow   f_n = -1/2 rho Cn h |w| w                                        Taylor 1952, doi 10.1098/rspa.1952.0159
-             on the last link (1 - h x) Cn: attached flow does not separate (h = 0 unless a description says so)
+             on the last link (1 - h x) Cn, because attached flow does not separate (h = 0 by default)
 friction     f_t = -1/2 rho Cf P sqrt(u^2 + w^2) u                            P = perimeter
 head form    F_t = -1/2 rho Ca A |u| u,  Ca differs forwards and backwards
 linear       F_t = -c_i u, by wetted area                                     laminar, or the Reynolds number's part of Cf
 trailing     F_t = 1/2 x m_e w_e^2,  F_n = -(a + b x) m_e max(u, 0) w_e,       m_e = k_e rho pi/4 h_e^2
-edge         passive for 0 <= x <= 1 when a + b x >= x / 2; w_e is met at x_e: the trailing edge of a slender body (Lighthill),
-             the quarter chord of a wing
+edge         passive for 0 <= x <= 1 if a + b x >= x / 2; w_e is evaluated at x_e: the trailing edge of a slender body
+             (Lighthill), the quarter chord of a wing
 attachment   x' = (x0(alpha) - x) V / (tau h_e),  x0 = logistic((alpha_s - |alpha|) / Delta)   Goman & Khrabrov 1994
 
 Every function takes components (scalars, NumPy or JAX arrays of one shape, or traced values) and the array namespace
@@ -32,8 +32,8 @@ from fishmj.base.errors import ConfigError
 from fishmj.mjcf.description import LIFT_ROUNDED
 from fishmj.mjcf.geometry import Geometry
 
-SHAPE = {"edge_place": 1.0, "tail_held": 0.0, "linear_drag": 0.0}  # numbers of the strips' shape, and what an unset one is
-NO_COEFFICIENT = ("model", "stations", "own", *SHAPE)  # of a `[water]` table
+SHAPE = {"edge_place": 1.0, "tail_held": 0.0, "linear_drag": 0.0}  # optional keys of `[water]` for `Strips`, with defaults
+NO_COEFFICIENT = ("model", "stations", "own", *SHAPE)  # keys of a `[water]` table that are no coefficients
 SMOOTH = 1e-8  # m2/s2 inside square roots, keeps gradients finite at rest
 
 
@@ -51,8 +51,8 @@ class Coefficients(NamedTuple):
     stall_angle: Any  # rad
     stall_width: Any  # rad
     stall_lag: Any  # trailing-edge heights
-    suction: Any = 1.0  # share of their leading edge's suction that the links behind the head recover
-    residual: Any = 1.0  # share of the learnt residual that acts, in a water that has one
+    suction: Any = 1.0  # share of the leading-edge suction that the links behind the head recover
+    residual: Any = 1.0  # factor on the learnt residual
 
 
 class Strips(NamedTuple):
@@ -68,9 +68,9 @@ class Strips(NamedTuple):
     frontal: float  # m2
     tail_x: float
     tail_h: float
-    edge_x: Any  # m, where the last link meets the flow whose momentum it sheds
-    held: Any = None  # share of the last link's cross-flow drag that attached flow does not have; None for 0
-    linear: Any = None  # N entries, drag of each link along it over its speed, N s/m; None where there is none
+    edge_x: Any  # m, position x_e on the last link at which w_e is evaluated
+    held: Any = None  # h, share of the last link's cross-flow drag that vanishes in attached flow; None for 0
+    linear: Any = None  # N entries, linear drag coefficient c_i along each link, N s/m; None for 0
 
 
 def coefficients(water: dict, n_links: int) -> Coefficients:
@@ -86,15 +86,17 @@ def coefficients(water: dict, n_links: int) -> Coefficients:
         raise ConfigError(f"[water]: missing {sorted(missing)}, unknown {sorted(unknown)}; needs {needs}")
     for key in ("k", "cn"):
         if len(table[key]) != n_links:
-            raise ConfigError(f"[water] {key}: one value a link, got {len(table[key])} for {n_links} links")
+            raise ConfigError(f"[water] {key}: expected one value for each of {n_links} links, got {len(table[key])}")
         table[key] = [float(v) for v in table[key]]
     c = Coefficients(**table)
     if not 0.0 <= c.residual <= 2.0:
-        raise ConfigError(f"[water]: residual = {c.residual}; a share from 0 to 2 of the learnt residual, 1 as fitted")
+        raise ConfigError(f"[water]: residual = {c.residual}; expected a factor from 0 to 2, 1 as fitted")
     if not 0.0 <= c.suction <= 1.0:
-        raise ConfigError(f"[water]: suction = {c.suction}; a share from 0, none recovered, to 1, all of it")
+        raise ConfigError(f"[water]: suction = {c.suction}; expected a recovered share from 0 to 1")
     if c.lift_a < 0 or c.lift_b < 0 or c.lift_a + c.lift_b < 0.5 - LIFT_ROUNDED:
-        raise ConfigError(f"[water]: lift_a = {c.lift_a}, lift_b = {c.lift_b} can feed energy; need both >= 0 and a + b >= 0.5")
+        raise ConfigError(
+            f"[water]: lift_a = {c.lift_a}, lift_b = {c.lift_b} can add energy; expected both >= 0 and lift_a + lift_b >= 0.5"
+        )
     return c
 
 
@@ -121,15 +123,15 @@ def strips(geometry: Geometry, rho: float = 1000.0, water: dict | None = None) -
 
 
 def linear_parts(wetted, whole) -> tuple:
-    """Linear drag of N links, N s/m: `whole` divided among them by wetted area (N, K); `whole` may be traced."""
+    """Linear drag coefficients of N links, N s/m: `whole`, which may be traced, divided by wetted area (N, K)."""
     areas = [float(np.sum(row)) for row in wetted]
     return tuple(whole * (area / sum(areas)) for area in areas)
 
 
 def reactive(s: Strips, c: Coefficients, i: int, u, w0, omega, rate=None):
-    """Velocity part of the added-mass force on link i: (F_t, F_n, moment).
+    """Velocity-dependent part of the added-mass force on link i: (F_t, F_n, moment).
 
-    rate: yaw rate of the link itself, if the water turns and omega is relative to it; default omega.
+    rate: yaw rate of the link in the world, if omega is relative to turning water; default omega.
     """
     rate = omega if rate is None else rate
     m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
@@ -183,7 +185,7 @@ def attachment(xp, s: Strips, c: Coefficients, u, w0, omega, attached, dt):
 
 
 def ambient(s: Strips, c: Coefficients, i: int, du_t, du_n):
-    """Force of an accelerating ambient flow DU/Dt on link i: buoyancy-like part plus added mass (Auton et al. 1988)."""
+    """Force of an ambient acceleration DU/Dt on link i: Froude-Krylov force plus added mass (Auton et al. 1988)."""
     m0, m1 = c.k[i] * s.mu[i][0], c.k[i] * s.mu[i][1]
     d = s.displaced[i]
     return d * du_t, (d + m0) * du_n, (d * s.buoyancy[i] + m1) * du_n
@@ -191,15 +193,15 @@ def ambient(s: Strips, c: Coefficients, i: int, du_t, du_n):
 
 def link_forces(xp, s: Strips, c: Coefficients, i: int, u, w0, omega, du_t, du_n, attached, rate=None):
     """All forces on link i except those proportional to the body's own acceleration: (F_t, F_n, moment)."""
-    # the body's own acceleration is left out: its factor is the added mass, which the caller puts into the matrix. The stream's
-    # acceleration is known in advance, so it is a force
+    # the body's own acceleration is left out, because its factor, the added mass, is in the caller's matrix. The stream's
+    # acceleration is known in advance, so it gives a force
     if i == len(s.mu) - 1:
         c = with_held_tail(s, c, attached)
     parts = [reactive(s, c, i, u, w0, omega, rate), resistive(xp, s, c, i, u, w0, omega), ambient(s, c, i, du_t, du_n)]
     if i == 0:
-        # a blunt nose has a wake of its own; the links behind have no front
+        # only the head has a blunt front with a wake
         parts.append((head_form(xp, s, c, u), 0.0, 0.0))
     if i == len(s.mu) - 1:
-        # the wake carries momentum away at the last edge only: between links the body continues (Lighthill 1971)
+        # momentum is shed only at the last edge, because the body continues between links (Lighthill 1971)
         parts.append(trailing_edge(xp, s, c, u, w0, omega, attached))
     return tuple(sum(column) for column in zip(*parts, strict=True))

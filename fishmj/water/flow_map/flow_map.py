@@ -1,8 +1,8 @@
-"""Flow of a tank at each setting of its pump: a TOML file, read by options that take a flow.
+"""Flow map: measured flow of a tank at each pump setting, a TOML file for options such as `--flow-map`.
 
     schema = "fishmj.flow_map/1"        [[setting]]  pump, speed [m/s], intensity (TI), length [m], direction [rad], intervals
 
-Between two settings every number is interpolated linearly; beyond the first and the last there is no extrapolation.
+Numbers are interpolated linearly between settings, and never extrapolated.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from fishmj.water.flow import LENGTH, TURN, Flow
 from fishmj.water.flow_map.turbulence_statistics import ValueInterval
 
 SCHEMA = "fishmj.flow_map/1"
-SPATIAL = ("default", "fine")  # presets of turbulence that a measured length scale is given to
-NEAR = 1e-9  # relative: a setting at the end of the map is on it
+SPATIAL = ("default", "fine")  # turbulence presets with a length scale
+NEAR = 1e-9  # relative tolerance at the ends of the map
 
 
 class Setting(NamedTuple):
@@ -49,7 +49,7 @@ class Setting(NamedTuple):
 
 
 class TankWater(NamedTuple):
-    """The water at a setting between the measured ones: m/s, TI, m (None: not measured), rad."""
+    """Interpolated flow at a pump setting: m/s, TI, m (None: not measured), rad."""
 
     pump: float
     speed: float
@@ -58,7 +58,7 @@ class TankWater(NamedTuple):
     direction: float
 
     def flow(self, seed: int = 0, box: int = 0) -> Flow:
-        """Background flow of the simulators with these numbers; its length scale is that of the nearest preset."""
+        """Simulated background flow with these numbers; its length scale is that of the nearest preset."""
         return Flow(
             speed=self.speed,
             direction=self.direction,
@@ -70,10 +70,10 @@ class TankWater(NamedTuple):
 
 
 def preset_for(lengths: Sequence[float | None]) -> tuple[str, str]:
-    """Preset of turbulence whose length scale is nearest to measured ones [m], by ratio, and a line that names both."""
+    """Turbulence preset with the length scale nearest by ratio to the measured ones [m], and a line that names both."""
     known = [length for length in lengths if length is not None]
     if not known:
-        return SPATIAL[0], f"no length scale was measured; turbulence {SPATIAL[0]}, L {LENGTH[SPATIAL[0]]:g} m, is taken"
+        return SPATIAL[0], f"no length scale was measured; turbulence {SPATIAL[0]}, L {LENGTH[SPATIAL[0]]:g} m, is used"
     middle = exp(sum(map(log, known)) / len(known))
     name = min(SPATIAL, key=lambda preset: abs(log(LENGTH[preset] / middle)))
     return name, f"measured L {middle:.2f} m; the nearest turbulence is {name}, L {LENGTH[name]:g} m"
@@ -81,7 +81,7 @@ def preset_for(lengths: Sequence[float | None]) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class FlowMap:
-    """Measured settings, by rising pump setting. unit: of the setting. origin: "measured" or "synthetic"."""
+    """Measured settings in ascending order. unit: of the pump setting. origin: "measured" or "synthetic"."""
 
     settings: tuple[Setting, ...]
     unit: str = ""
@@ -90,7 +90,7 @@ class FlowMap:
     def __post_init__(self):
         pumps = [s.pump for s in self.settings]
         if not pumps or pumps != sorted(set(pumps)):
-            raise ConfigError(f"flow map: settings {pumps}; expected one or more, each once, rising")
+            raise ConfigError(f"flow map: settings {pumps}; expected one or more, distinct and ascending")
 
     @property
     def speeds(self) -> tuple[float, float]:
@@ -99,14 +99,16 @@ class FlowMap:
         return min(found), max(found)
 
     def at(self, pump: float) -> TankWater:
-        """Water at a pump setting. Raises ConfigError: outside of the measured settings."""
+        """Flow at a pump setting. Raises ConfigError: it is outside the measured settings."""
         pumps = [s.pump for s in self.settings]
         if not _between(pump, pumps[0], pumps[-1]):
             span = f"{pumps[0]:g}" if len(pumps) == 1 else f"{pumps[0]:g} to {pumps[-1]:g}"
-            raise ConfigError(f"flow map: pump setting {pump:g} {self.unit}; measured is {span}, and nothing is guessed beyond")
+            raise ConfigError(
+                f"flow map: pump setting {pump:g} {self.unit} is outside the measured {span}; measure it, or take another"
+            )
         on = lambda values: float(np.interp(pump, pumps, values))
         lengths = [np.nan if s.length is None else s.length.value for s in self.settings]
-        length = on(lengths)  # NaN where a neighbour has none
+        length = on(lengths)  # NaN if a neighbour has none
         direction = on(np.unwrap([s.direction for s in self.settings]))
         speed, intensity = (on([getattr(s, name).value for s in self.settings]) for name in ("speed", "intensity"))
         return TankWater(
@@ -114,20 +116,20 @@ class FlowMap:
         )
 
     def for_speed(self, speed: float) -> TankWater:
-        """Water at the setting that makes a mean speed, m/s.
+        """Flow at the pump setting with this mean speed, m/s.
 
-        Raises ConfigError: slower or faster than all measured settings, or a faster pump makes slower water somewhere.
+        Raises ConfigError: slower or faster than all measured settings, or the speed does not rise with the pump setting.
         """
         speeds = [s.speed.value for s in self.settings]
         if any(b <= a for a, b in zip(speeds, speeds[1:], strict=False)):
             text = ", ".join(f"{s.pump:g}: {s.speed.value:.3f} m/s" for s in self.settings)
             raise ConfigError(
-                f"flow map: the speed does not rise with every setting ({text}); which one makes {speed:g} m/s is not told"
+                f"flow map: the speed does not rise with every setting ({text}), so the one for {speed:g} m/s is ambiguous"
             )
         if not _between(speed, speeds[0], speeds[-1]):
             raise ConfigError(
-                f"flow map: {speed:g} m/s; measured is {speeds[0]:.3f} to {speeds[-1]:.3f} m/s, and nothing is guessed beyond: "
-                "measure a setting that makes it"
+                f"flow map: {speed:g} m/s is outside the measured {speeds[0]:.3f} to {speeds[-1]:.3f} m/s; measure a setting with"
+                " this speed, or take another"
             )
         return self.at(float(np.interp(speed, speeds, [s.pump for s in self.settings])))
 
@@ -140,7 +142,7 @@ class FlowMap:
 
     @classmethod
     def read(cls, path: str | Path) -> "FlowMap":
-        """Reads the map of a file.
+        """Reads a map from a file.
 
         Raises ConfigError: no such file, not TOML, another schema, or a setting with a missing or invalid number.
         """
@@ -151,7 +153,7 @@ class FlowMap:
             )
         rows = table.get("setting")
         if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-            raise ConfigError(f"{path}: no [[setting]]; expected one for each setting of the pump that was measured")
+            raise ConfigError(f"{path}: no [[setting]]; expected one for each measured pump setting")
         settings = sorted((_setting(row, f"{path}: setting {k + 1}") for k, row in enumerate(rows)), key=lambda s: s.pump)
         try:
             return cls(tuple(settings), str(table.get("unit", "")), str(table.get("origin", "measured")))

@@ -1,4 +1,4 @@
-"""Records of the water: a probe's table with a lab's own columns, and drifts of a marker recorded by `deploy track`."""
+"""Readers of flow records: tables of a velocity probe, and drifts of a marker recorded by `deploy track`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,14 +12,14 @@ from fishmj.log.importers.delimited import read
 from fishmj.log.trial_folder import META_FILE
 
 UNITS = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3}
-PAUSE = 5.0  # times the usual step: a gap behind which another record begins
-LOST = 0.2  # share of rows that may be missing within a record
-SPIKE, SPIKES = 6.0, 0.05  # robust deviations from the median that are no water, and the share of them that is no probe
-SHORTEST = 64  # samples of a record
+PAUSE = 5.0  # a gap of this many sample intervals begins a new record
+LOST = 0.2  # largest share of missing rows within a record
+SPIKE, SPIKES = 6.0, 0.05  # robust deviations from the median that make a spike; largest share of spikes
+SHORTEST = 64  # minimal number of samples of a record
 
 
 class Probe(NamedTuple):
-    """Evenly sampled records (T, C) m/s of one file, their step s, and the share of samples treated as spikes."""
+    """Evenly sampled records (T, C) m/s of one file, their sample interval s, and the share of spikes."""
 
     records: list[np.ndarray]
     dt: float
@@ -30,8 +30,8 @@ def read_probe(path: Path, time: str, components: Sequence[str], factor: float, 
     """Reads a table of velocities.
 
     Args:
-        time: name of the column of times, s; "" for rows that are evenly spaced at `rate` Hz.
-        components: names of the columns of velocity, along x and, if measured, y and z.
+        time: name of the time column, s; "" for rows evenly spaced at `rate` Hz.
+        components: names of the velocity columns, x and, if measured, y and z.
         factor: factor from their unit to m/s.
 
     Raises LogError: not a table, no such column, times that do not rise, too few rows, or too many spikes.
@@ -51,7 +51,7 @@ def read_probe(path: Path, time: str, components: Sequence[str], factor: float, 
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
         raise LogError(
-            f"{path}: the time does not rise behind {t[row]:g} s ({t[row + 1]:g} s follows); sort the rows, or give --rate"
+            f"{path}: the time does not rise after {t[row]:g} s ({t[row + 1]:g} s follows); sort the rows, or give --rate"
         )
     dt = float(np.median(steps))
     clean, spikes = _despiked(t, values, path)
@@ -61,7 +61,7 @@ def read_probe(path: Path, time: str, components: Sequence[str], factor: float, 
     lost = 1.0 - sum(map(len, parts)) / max(sum(map(len, records)), 1)
     if not records or lost > LOST:
         raise LogError(
-            f"{path}: rows come too unevenly ({dt:.3g} s apart mostly, {100 * max(lost, 0):.0f} % missing) for a spectrum"
+            f"{path}: sampled too unevenly for statistics (median interval {dt:.3g} s, {100 * max(lost, 0):.0f} % missing)"
         )
     return Probe(records, dt, spikes)
 
@@ -91,15 +91,15 @@ def _despiked(t: np.ndarray, values: np.ndarray, path: Path) -> tuple[np.ndarray
     share = float(odd.any(1).mean())
     if share > SPIKES:
         raise LogError(
-            f"{path}: {100 * share:.0f} % of the rows are farther than {SPIKE:g} robust deviations from the median; "
-            "clean them first (correlation, signal-to-noise ratio), or check the probe"
+            f"{path}: {100 * share:.0f} % of the rows are spikes, farther than {SPIKE:g} robust deviations from the median; "
+            "remove them first (by correlation or signal-to-noise ratio), or check the probe"
         )
     columns = [np.interp(t, t[~bad], column[~bad]) if bad.any() else column for column, bad in zip(values.T, odd.T, strict=True)]
     return np.stack(columns, 1), share
 
 
 def _even(t: np.ndarray, values: np.ndarray, dt: float) -> np.ndarray:
-    """Values on an even grid of step dt; unchanged if the stamps are even already."""
+    """Values interpolated to an even grid of step dt; unchanged if the time stamps are even already."""
     if np.abs(np.diff(t) - dt).max() < 0.02 * dt:
         return values
     grid = t[0] + dt * np.arange(int((t[-1] - t[0]) / dt + 1e-6) + 1)

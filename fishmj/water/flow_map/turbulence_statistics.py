@@ -1,15 +1,15 @@
-"""Mean speed, turbulence intensity and integral length scale of the water at one point, from a probe's record.
+"""Mean speed, turbulence intensity and integral length scale at one point, from a probe's record.
 
     u'        = u - U                                       along the mean stream; v', w' across it
-    TI        = u_rms / max(U, 0.1 m/s),   u_rms^2 = mean of the components' variances, less the probe's white noise
+    TI        = u_rms / max(U, 0.1 m/s),   u_rms^2 = mean of the components' variances, minus the probe's white noise
     T_int     = int_0^tau0 rho(tau) dtau,  rho the autocorrelation of u', tau0 its first zero (4 times the lag of 1 / e at most)
     L         = U T_int                                     frozen advection (Taylor 1938, doi 10.1098/rspa.1938.0032)
     noise     = R(0) - (R(1) + (R(1) - R(2)) / (2^(2/3) - 1)), not below 0: in the inertial range R falls as tau^(2/3)
-                (Kolmogorov), and white noise stands at lag 0 alone
+                (Kolmogorov), and white noise contributes at lag 0 only
 
-Intervals come from a delete-one-group jackknife (Efron & Tibshirani 1993, chapter 11) over groups of at least `APART` integral
-times, which are taken to be independent; for TI and L on their logarithms. Samples closer than two integral times are not
-independent: a record has as much information as seconds / (2 T_int) independent samples.
+Intervals come from a delete-one-group jackknife (Efron & Tibshirani 1993, chapter 11), for TI and L of their logarithms. Its
+groups last at least `APART` integral times and are assumed to be independent. A record has seconds / (2 T_int) independent
+samples.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError
 from fishmj.base.least_squares import jackknife_sd
 
-APART = 5.0  # integral times in a group, at least
-GROUPS = 20  # of the jackknife at most
-FEWEST = 5  # groups that an interval of speed and TI needs
-LONG = 200.0  # integral times of record that a length scale needs; its interval is too narrow with fewer
-FINE = 4.0  # samples in an integral time, at least, for a length scale
-TAIL = 4.0  # times the lag at which the correlation is 1 / e, where it is cut off at the latest
-SMOOTH = 0.5  # rho(1) below which white noise cannot be told from turbulence
-SLOWEST = 0.02  # m/s: below it nothing carries the eddies past the probe
+APART = 5.0  # minimal length of a group, integral times
+GROUPS = 20  # maximal number of groups of the jackknife
+FEWEST = 5  # minimal number of groups for intervals of speed and TI
+LONG = 200.0  # minimal record for a length scale, integral times; with fewer its interval is too narrow
+FINE = 4.0  # minimal number of samples per integral time for a length scale
+TAIL = 4.0  # the correlation is cut off at this many times the lag where it is 1 / e
+SMOOTH = 0.5  # rho(1) below which white noise and turbulence cannot be separated
+SLOWEST = 0.02  # m/s, minimal speed for frozen advection past the probe
 FASTEST_TURN = 0.3  # u_rms / U above which frozen advection does not hold
 FLOOR: float = constant("turbulence", "speed_floor")  # m/s
 # two-sided 95 % quantiles of Student's t, by degrees of freedom from 4 on (any table)
@@ -50,8 +50,8 @@ class Turbulence(NamedTuple):
     Attributes:
         speed: m/s. direction: rad, towards which the water moves, in the axes of the components. intensity: TI.
         length: m, None if the record is too short; `why` then has the reason, and the length of a sufficient record.
-        noise: m/s, of the probe, each component; NaN if it cannot be estimated.
-        seconds: of all records. independent: number of independent samples in them.
+        noise: m/s, standard deviation of the probe's noise in each component; NaN if it cannot be estimated.
+        seconds: length of all records. independent: their number of independent samples.
     """
 
     speed: ValueInterval
@@ -71,7 +71,7 @@ def turbulence_of(records: Sequence[np.ndarray], dt: float) -> Turbulence:
         records: each (T, C) m/s, evenly sampled: along x and, if measured, y and z.
         dt: s.
 
-    Raises ConfigError: too short for any interval, or a record without a movement.
+    Raises ConfigError: the records are too short for any interval, or constant.
     """
     seconds = dt * sum(map(len, records))
     mean = np.concatenate(records).mean(0)
@@ -80,14 +80,14 @@ def turbulence_of(records: Sequence[np.ndarray], dt: float) -> Turbulence:
     everything = np.concatenate(turned)
     middle = everything.mean(0)
     if everything.std(0).max() == 0.0:
-        raise ConfigError("flow-map: every sample is the same; is the probe in the water, and the right column named?")
+        raise ConfigError("flow-map: all samples are equal; check that the probe is in the water, and the name of the column")
     lags = min(map(len, turned)) // 2
     scale = integral_time(_correlation([_products(r - middle, lags) for r in turned]), dt)
     groups = [g for r in turned for g in _groups(r, APART * scale, dt, seconds)]
     if len(groups) < FEWEST:
         raise ConfigError(
-            f"flow-map: {seconds:.0f} s of a stream that turns over in about {scale:.2g} s are {len(groups)} independent groups "
-            f"of samples, and an interval needs {FEWEST}: record {FEWEST * APART * scale * 1.2:.0f} s at least"
+            f"flow-map: {seconds:.0f} s with an integral time of about {scale:.2g} s give {len(groups)} independent groups of "
+            f"samples, but an interval needs {FEWEST}: record {FEWEST * APART * scale * 1.2:.0f} s at least"
         )
     most = max(round(2 * APART * scale / dt), 8)
     parts = [_part(g, middle, most) for g in groups]
@@ -101,7 +101,7 @@ def turbulence_of(records: Sequence[np.ndarray], dt: float) -> Turbulence:
 
 
 class Figures(NamedTuple):
-    """Statistics of some groups: m/s, 1, m, s, m/s, and the correlation at lag 1."""
+    """Statistics of some groups, in m/s, 1, m, s, m/s, and the correlation at lag 1."""
 
     speed: float
     intensity: float
@@ -124,7 +124,7 @@ class _Part(NamedTuple):
 def integral_time(rho: np.ndarray, dt: float) -> float:
     """Integral [s] of a correlation (K,) from lag 0 to its first zero, or to `TAIL` times the lag at which it is 1 / e.
 
-    The tail of a short record is chance: without the second bound a few such records give many times the true scale.
+    The tail of a short record is noise: without the second bound, some records give many times the true scale.
     """
     below = np.flatnonzero(rho <= 0.0)
     if len(below) and below[0] == 0:
@@ -135,12 +135,12 @@ def integral_time(rho: np.ndarray, dt: float) -> float:
     time = float(rho[:bound].sum()) - 0.5 * float(rho[0] + rho[bound - 1])
     if bound == end < len(rho):
         last = float(rho[end - 1])
-        time += 0.5 * last * last / (last - float(rho[end]))  # down to the zero on the straight line between two lags
+        time += 0.5 * last * last / (last - float(rho[end]))  # triangle to the interpolated zero between two lags
     return dt * time
 
 
 def noise_variance(covariance: np.ndarray) -> float:
-    """White noise in the covariances (K,) of lags 0, 1, 2, ..; NaN if neighbouring samples are hardly correlated."""
+    """Variance of the white noise from covariances (K,) at lags 0, 1, 2, ..; NaN if neighbouring samples hardly correlate."""
     r0, r1, r2 = covariance[:3]
     if r1 < SMOOTH * r0:
         return float("nan")
@@ -180,7 +180,7 @@ def _without(covariance: np.ndarray, noise: float) -> np.ndarray:
 
 
 def _groups(record: np.ndarray, least: float, dt: float, seconds: float) -> list[np.ndarray]:
-    """Splits a record into groups of at least `least` s, no more than `GROUPS` of all records together."""
+    """Splits a record into groups of at least `least` s; at most `GROUPS` for all records together."""
     samples = max(int(np.ceil(max(least, seconds / GROUPS * (1 - 1e-9)) / dt)), 1)
     count = max(len(record) // samples, 1)
     return list(np.array_split(record, count)) if len(record) >= samples else []
@@ -192,7 +192,7 @@ def _part(group: np.ndarray, middle: np.ndarray, most: int) -> _Part:
 
 
 def _figures(parts: Sequence[_Part], dt: float) -> Figures:
-    """Statistics of groups together."""
+    """Pooled statistics of groups."""
     lags = min(len(p.pairs) for p in parts)
     count = sum(p.samples for p in parts)
     off = np.sum([p.total for p in parts], 0) / count  # mean about `middle`
@@ -202,7 +202,7 @@ def _figures(parts: Sequence[_Part], dt: float) -> Figures:
     noises = np.array([noise_variance(c) for c in covariance.T])
     variance = covariance[0] - np.nan_to_num(noises)
     rho = _without(covariance[:, 0], noises[0]) / variance[0]
-    # the mean is the record's own, so every covariance is too small by the variance of that mean, 2 T_int / T
+    # the sample mean makes every covariance too small by the variance of that mean, 2 T_int / T
     time = integral_time(rho, dt)
     lost = min(2 * time / (count * dt), 0.5)
     time = integral_time(rho + (1 - rho) * lost, dt)
@@ -212,7 +212,7 @@ def _figures(parts: Sequence[_Part], dt: float) -> Figures:
 
 
 def jackknifed(whole: float, without: Sequence[float], positive: bool = False) -> ValueInterval:
-    """Value with its interval, from the values without each group."""
+    """Value with its jackknife interval; without: the values with one group left out."""
     n = len(without)
     t = STUDENT[min(n, len(STUDENT) + 4) - 5]
     if positive:
@@ -231,15 +231,12 @@ def _no_length(found: Figures, scale: float, dt: float, seconds: float) -> str:
     """Reason for the missing length scale of a record, and the length of a sufficient record; "" if there is a length scale."""
     time = max(found.time, scale)
     if found.speed < SLOWEST:
-        return f"the water stands still ({found.speed:.3f} m/s): nothing carries the eddies past the probe"
+        return f"the water hardly moves ({found.speed:.3f} m/s): eddies are not advected past the probe"
     if found.intensity * max(found.speed, FLOOR) > FASTEST_TURN * found.speed:
-        return (
-            f"u_rms is {found.intensity * max(found.speed, FLOOR) / found.speed:.2f} of the speed: eddies change before they pass"
-        )
+        ratio = found.intensity * max(found.speed, FLOOR) / found.speed
+        return f"u_rms is {ratio:.2f} of the speed: frozen advection does not hold"
     if time < FINE * dt:
-        return (
-            f"{1 / dt:.3g} samples a second are too few: the eddies pass in {time:.2g} s; sample at {FINE / time:.0f} Hz at least"
-        )
+        return f"{1 / dt:.3g} Hz is too slow for an integral time of {time:.2g} s; sample at {FINE / time:.0f} Hz or more"
     if seconds < LONG * time:
         return f"{seconds:.0f} s are too short for a length scale: record {1.2 * LONG * time:.0f} s at least"
     return ""
