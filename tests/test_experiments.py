@@ -173,7 +173,7 @@ def test_the_experiments_swim_the_robot_that_is_named(tmp_path, capsys):
 
 def test_saliency_needs_a_policy(tmp_path):
     setup = setup_of(tmp_path, policy="dob")
-    with pytest.raises(ConfigError, match="dob is no policy file"):
+    with pytest.raises(ConfigError, match="dob is not a policy"):
         input_saliency.parts(setup)
     assert command.possible(setup) == [name for name in MODULES if name != "saliency"]
 
@@ -461,7 +461,7 @@ def test_list_of_experiments_loads_none_of_the_heavy_packages():
     ("line", "said"),
     [
         (["aproach"], "Did you mean 'approach'"),
-        (["approach", "--reference"], "of --water lbm only"),
+        (["approach", "--reference"], "needs --water lbm"),
         (["approach", "--trained", "runs/a"], "--trained has an effect with ablations only"),
         (["--quick"], "--quick without a NAME"),
         (["--out", "runs/a"], "--out without a NAME"),

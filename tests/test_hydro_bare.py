@@ -108,7 +108,7 @@ def test_hydro_fit_without_data_or_gpu_states_hours_and_solves_a_preview(home, c
 
 @pytest.mark.parametrize("links", [2, 8])
 def test_any_described_fish_has_its_preview(home, tenth, links):
-    """Every block on as many joints; hand-made controllers steer the on-policy one."""
+    """Every block on as many joints; classical controllers steer the on-policy one."""
     assert console.run(describe, ["mine", "--links", str(links), "--yes"]) == console.OK
     data = open_dataset(asked(robot=load_robot("mine.toml")))
     assert data.folder.name == "mine-preview" and data.preview and data.robot["joints"] == links - 1

@@ -255,7 +255,7 @@ def test_fault_13_a_judgement_goes_on_with_the_next_controller(tmp_path, capsys,
     capsys.readouterr()
     assert console.run(judge.main, argv) == console.OK
     said = capsys.readouterr()
-    assert ran == ["drift", "pd", "pd"] and "drift was judged before under the same conditions" in said.err
+    assert ran == ["drift", "pd", "pd"] and "drift was evaluated before under the same conditions" in said.err
     again = json.loads(said.out.splitlines()[-1])
     assert "unfinished" not in json.loads((tmp_path / "results.json").read_text()) and not (tmp_path / "judged").exists()
     monkeypatch.setattr(judge, "run", sound)

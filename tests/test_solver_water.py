@@ -154,7 +154,7 @@ def test_all_that_swims_in_the_water_of_a_fit_takes_the_same_box(grid, box, tmp_
 
 
 def test_reference_is_of_the_solver_alone():
-    with pytest.raises(ConfigError, match="--reference: of --water lbm only"):
+    with pytest.raises(ConfigError, match="--reference: needs --water lbm"):
         evaluate.main(["pd", "--water", "structured", "--reference"])
 
 

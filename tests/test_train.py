@@ -124,7 +124,10 @@ def test_a_stopped_and_resumed_run_is_the_uninterrupted_one_to_the_bit(learner, 
     other.go()
     assert figures_of(other) != figures_of(whole)
     cut = StopAt(settings, tmp_path / "due", 3 * n, learner=learner)
-    cut._look = lambda: (cut._last_words(), sys.exit())  # killed with the assessment due, as where an interrupt does not wait
+    cut._assess_actor = lambda: (
+        cut._save_on_interrupt(),
+        sys.exit(),
+    )  # killed with the assessment due, as where an interrupt does not wait
     with pytest.raises(SystemExit):
         cut.go()
     due = StopAt(settings, tmp_path / "due", 4 * n, learner=learner, resume=True)
@@ -221,7 +224,11 @@ def test_the_progress_of_a_training_ends_with_the_time_of_its_summary(tmp_path, 
     now, out = [0.0], io.StringIO()
     passes = lambda seconds, result: lambda *_: now.__setitem__(0, now[0] + seconds) or result
     monkeypatch.setattr(training_run, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    for name, part in {"_iterate": passes(4.0, FIGURES), "_look": passes(2.0, ({}, False)), "_save": passes(0, 1)}.items():
+    for name, part in {
+        "_iterate": passes(4.0, FIGURES),
+        "_assess_actor": passes(2.0, ({}, False)),
+        "_save": passes(0, 1),
+    }.items():
         monkeypatch.setattr(TrainingRun, name, part)
     monkeypatch.setattr(TrainingRun, "_export", passes(0, None))
     learner = SimpleNamespace(init=lambda key: None, steps_per_iteration=8192)

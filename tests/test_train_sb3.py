@@ -176,8 +176,8 @@ def test_stopped_sb3_run_exports_its_policy_and_resumes_with_empty_buffer(tmp_pa
 
     def watch(*args, **options):
         again = StopAt(*args, steps=2048, **{k: v for k, v in options.items() if k != "quiet"})
-        again.algorithm._put(again.training)
-        seen.update(tensors=again.algorithm._taken().tensors, memory=again.algorithm.model.replay_buffer.size())
+        again.algorithm._load_state(again.training)
+        seen.update(tensors=again.algorithm._snapshot().tensors, memory=again.algorithm.model.replay_buffer.size())
         return again
 
     monkeypatch.setattr(sb3, "TrainingRun", watch)
@@ -215,7 +215,7 @@ def test_ppo_s_policy_file_is_its_deterministic_action_to_rounding():
     learner, training = learner_of(settings(algo="sb3-ppo"))
     with torch_grad_off():
         learner.model.policy.action_net.weight *= 150
-    network = learner.policy_layers(learner._taken().actor)
+    network = learner.policy_layers(learner._snapshot().actor)
     obs = np.random.default_rng(0).normal(size=(400, 11)).astype(np.float32)
     u, _ = learner.model.predict((obs / input_scale(3)).astype(np.float32), deterministic=True)
     assert np.abs(u).max() > 1.2 and np.abs(u).min() < 0.1

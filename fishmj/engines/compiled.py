@@ -124,13 +124,13 @@ class CompiledEngine(Copied):
         return self._advance_traced(*given) if _is_traced(given) else self._advance_numpy(*given)
 
     def _advance_numpy(self, state, commands, params, current, tick):
-        if (net := self._mixed(params.net)) is not None:
+        if (net := self._residual_indices(params.net)) is not None:
             part = lambda here: self._advance_numpy(
                 *(_rows_of(tree, here) for tree in (state, commands, params)),
                 _rows_of(current._replace(cell=(), table=()), here)._replace(cell=current.cell, table=current.table),
                 np.asarray(tick)[here],
             )
-            return _together(net, part)
+            return _by_residual(net, part)
         batch, ticks, joints = commands.shape
         real, read = self.dtype, _reader(batch, self.dtype)
         fresh = lambda *args: np.array(read(*args))  # a copy, because the loop writes into its state
@@ -147,7 +147,7 @@ class CompiledEngine(Copied):
         self._share(
             batch,
             self._advance,
-            (self._of(params, real), *bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace),
+            (self._residual_weights(params, real), *bodies, _column(delay), water, _column(read("tick", tick)), *flow, trace),
         )
         return FishState(q, v, attached, buffer, memory), Trace(*trace[:4], trace[4][..., 0])
 
@@ -159,9 +159,9 @@ class CompiledEngine(Copied):
             flow: (B, N, 2) water velocity at the links, m/s. ambient: (B, 2) DU/Dt, m/s2. World frame.
             memory: (B, M) of `FishState`; not needed for a robot without effects and residual.
         """
-        if (net := self._mixed(params.net)) is not None:
+        if (net := self._residual_indices(params.net)) is not None:
             given = (q, v, attached, params, target, flow, ambient, *(() if memory is None else (memory,)))
-            return _together(net, lambda here: self.forces(*_rows_of(given, here)))
+            return _by_residual(net, lambda here: self.forces(*_rows_of(given, here)))
         batch, joints = len(q), self.robot.n_joints
         read = _reader(batch, np.dtype(np.float64))
         memory = read("memory", np.zeros((batch, 0)) if memory is None else memory, len(self.added.memory))
@@ -169,7 +169,7 @@ class CompiledEngine(Copied):
         around = read("flow", flow, joints + 1, 2).reshape(batch, 2 * joints + 2)
         given = (state, self._swimmer(read, params), read("target", target, joints), around, read("ambient", ambient, 2))
         out = tuple(np.empty((batch, size)) for size in (joints + 3, 1, 1, memory.shape[1]))
-        self._share(batch, self._evaluate, (self._of(params, np.dtype(float)), *given, out))
+        self._share(batch, self._evaluate, (self._residual_weights(params, np.dtype(float)), *given, out))
         return Applied(out[0], out[1][:, 0], out[2][:, 0], out[3])
 
     def look(self, q, current: Current, tick) -> tuple[np.ndarray, np.ndarray]:
@@ -181,13 +181,13 @@ class CompiledEngine(Copied):
         self._share(batch, self._look, (read("q", q, links + 2), water, _column(read("tick", tick)), *flow, out))
         return out[0].reshape(batch, links, 2), out[1]
 
-    def _mixed(self, net) -> np.ndarray | None:
+    def _residual_indices(self, net) -> np.ndarray | None:
         """Index (B,) of each fish's residual if the batch has several, else None; one kernel call handles one residual."""
         if len(self.added.nets) < 2 or (net := np.asarray(net, int)).size == 0 or (net == net[0]).all():
             return None
         return net
 
-    def _of(self, params: FishParams, dtype: np.dtype) -> np.ndarray:
+    def _residual_weights(self, params: FishParams, dtype: np.dtype) -> np.ndarray:
         """Weights of the residual that these fish share."""
         net = np.asarray(params.net, int)
         return self._numbers(dtype)[net[0] if len(self.added.nets) > 1 and net.size else 0]
@@ -255,7 +255,7 @@ def _rows_of(tree, here: np.ndarray):
     return type(tree)(*rows) if hasattr(tree, "_fields") else tuple(rows)
 
 
-def _together(net: np.ndarray, of: Callable):
+def _by_residual(net: np.ndarray, of: Callable):
     """Calls `of` for the fish of each residual, and joins the results in the order of all fish."""
     groups = [np.flatnonzero(net == number) for number in np.unique(net)]
     order = np.argsort(np.concatenate(groups))

@@ -44,7 +44,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
     count, nets = len(state.attached), engine.added.nets
     # two tables: parameters are constant, so their table can be made once for all ticks
     given = (state, jnp.swapaxes(targets, 0, 1), flow, ambient), params._replace(delay=())
-    tables, places = zip(*map(_side_by_side, given), strict=True)
+    tables, places = zip(*map(_padded_columns, given), strict=True)
     each = [residual_kernel.tables_of(residual_network.halves(np, one.net), UNITS) for one in nets]
     weights = tuple(jnp.concatenate(tables) for tables in zip(*each, strict=True))
     nones = jnp.zeros(engine.steps, jnp.int32)
@@ -59,7 +59,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
             pl.when(jnp.max(mine.astype(jnp.int32)) > 0)(lambda: swim(mine, own, *refs))
 
     def swim(mine, own, *refs):
-        held = [_held(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
+        held = [_column_views(ref[...], numbers) for ref, numbers in zip(refs, places, strict=False)]
         (state, targets, flow, ambient), params = held
         nones, *weights, out = refs[len(held) :]
         fixed = swimmer(params), columns(params.effects), pairs(flow), columns(ambient)
@@ -68,7 +68,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
         def step(k, carry):
             carry, (target, *later) = carry
             network = partial(residual_kernel.network, weights, engine.chain.n, tanh=tanh, none=nones[k] & 1)
-            added = replace(engine.added, nets=(Residual(network, _at(reach, own) if len(nets) > 1 else reach[0]),))
+            added = replace(engine.added, nets=(Residual(network, _range_of(reach, own) if len(nets) > 1 else reach[0]),))
             return engine.step(added, *fixed, carry, target), [*later, target]
 
         _, steps, joints = targets.shape
@@ -107,7 +107,7 @@ def _reach(nets) -> list:
     return [jax.tree.map(lambda a: np.asarray(a).tolist(), one.reach) for one in nets]
 
 
-def _at(reach: list, own):
+def _range_of(reach: list, own):
     """Range of residual `own`, an index known only when the kernel runs."""
     one_hot = [(own == k).astype(jnp.float32) for k in range(len(reach))]  # Triton cannot select between two scalars
     return jax.tree.map(lambda *each: sum(there * value for there, value in zip(one_hot, each, strict=True)), *reach)
@@ -118,7 +118,7 @@ def _power(count: int) -> int:
     return 1 << (int(count) - 1).bit_length()
 
 
-def _side_by_side(tree):
+def _padded_columns(tree):
     """Joins arrays (B, ..) to one array, padded to a power of two columns; also returns the column indices (1, ..) of each."""
     leaves, shape = jax.tree.flatten(tree)
     ends = np.cumsum([a.size // len(a) for a in leaves])
@@ -127,7 +127,7 @@ def _side_by_side(tree):
     return jnp.concatenate([*(jnp.reshape(a, (len(a), -1)) for a in leaves), fill], 1), shape.unflatten(numbers)
 
 
-class _Held:
+class _ColumnView:
     """Array-like view of values in a kernel: a[:, i] or a[:, i, j] is one value for each fish."""
 
     def __init__(self, numbers, values: list):
@@ -137,10 +137,10 @@ class _Held:
         return self.values[self.numbers[at].item()]
 
 
-def _held(rows, numbers):
-    """Inverse of `_side_by_side` for a block of rows."""
+def _column_views(rows, numbers):
+    """Inverse of `_padded_columns` for a block of rows."""
     values = [jnp.reshape(column, len(rows)) for column in jnp.split(rows, rows.shape[1], 1)]
-    return jax.tree.map(lambda place: _Held(place, values), numbers)
+    return jax.tree.map(lambda place: _ColumnView(place, values), numbers)
 
 
 def _joined(values: list):

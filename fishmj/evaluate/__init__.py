@@ -1,4 +1,4 @@
-"""Judgement: the standard 72 trials, one figure a trial for each key, intervals, paired comparisons, pictures.
+"""Evaluation: the standard 72 trials, metrics of each trial, intervals, paired comparisons, plots.
 
     result = evaluate.run("dob", trials=evaluate.trials(turbulence="gust", intensity=0.10))
     evaluate.summary(result)["overall"]["rmse_last20"]

@@ -1,4 +1,4 @@
-"""Judge controllers and policies over the decided 72 trials: tables, intervals, JSON, pictures, logs."""
+"""Evaluate controllers and policies over the standard 72 trials: tables, intervals, JSON, plots, logs."""
 
 import shlex
 from collections.abc import Iterator
@@ -26,15 +26,15 @@ from fishmj.water import choice
 from fishmj.water.flow import PRESETS
 
 SOLVER = ("--domain", "--slip", "--device", "--tanks")  # options of --water lbm and hybrid
-REFERENCE = ("--reference", "--boundary", "--storage", "--dx")  # of lbm alone
-EVERY = "--every"  # of hybrid alone
+REFERENCE = ("--reference", "--boundary", "--storage", "--dx")  # options of --water lbm only
+EVERY = "--every"  # option of --water hybrid only
 FALLBACKS = ("compiled", "planar")
-HELD, WORK = 25, 35  # bytes of a tick and of (joints + 3) columns: of a finished controller, more while one is judged; measured
+HELD, WORK = 25, 35  # bytes per tick and per (joints + 3) columns: of a finished controller, more of a running one; measured
 EXAMPLES = f"""examples:
-  fishmj evaluate dob                                      the decided 72 trials
-  fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two, paired, with pictures
+  fishmj evaluate dob                                      the standard 72 trials
+  fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two controllers, paired comparison, with plots
   fishmj evaluate pd --speeds 0.2 --los 0,180 --repeats 1  two trials
-  fishmj evaluate station adrc-c1 --task figure_eight      a path in place of a station, without training for it
+  fishmj evaluate station adrc-c1 --task figure_eight      follow a path, for which the policy was not trained
   fishmj evaluate station --water hybrid --tanks 12 --device cuda         the water corrected by the solver while it swims
   fishmj evaluate station dob --water lbm --tanks 24 --ray auto --out runs/lbm    over the GPUs of a Ray cluster, resumable
 
@@ -48,63 +48,68 @@ def options() -> console.Parser:
     add = parser.add_argument
     brains = f"{', '.join(control.NAMES)}; a shipped policy ({', '.join(control.shipped_policies())}); a policy file, the"
     brains += " folder of a training, gains of fishmj tune as FILE.toml:NAME"
-    brains += ", or your own as module:Name or file.py:Name. Several are each compared with the first"
+    brains += ", or your own as module:Name or file.py:Name. With several, each is compared with the first"
     add("controllers", type=console.text, nargs="+", action=console.Distinct, metavar="CONTROLLER", help=brains)
     courses = "figure_eight: follow a moving target; angle_of_attack: start on the target, turned from upstream by --los"
     add("--task", choices=protocol.TASKS, default=protocol.HOLD, help=f"{courses}; default station_hold, the 72 trials")
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
-    solved = "hybrid: fitted, and corrected by segments of the flow solver while it swims; lbm: the flow solver itself"
-    add("--water", type=console.text, help=f"{choice.HELP}; {solved}, hours without a GPU")
+    solved = "hybrid: fitted, with online correction by segments of the flow solver; lbm: the flow solver itself"
+    add("--water", type=console.text, help=f"{choice.HELP}; {solved}, which takes hours without a GPU")
     reference_option(add, "--domain and --slip")
     box = f"box of water of --water lbm, default {PLAIN.domain}, or hybrid, default that of the fitted water"
     add("--domain", choices=BOXES, help=f"{box}; laptop is a preview, _refined has finer cells round the fish")
-    cell = "of the cells of --water lbm; the box keeps its size, a box round the fish its half cells; default that of --domain"
+    cell = "cell size of --water lbm; the box keeps its size, and a refined box round the fish has half of it; default --domain's"
     add("--dx", type=console.number(0.002, 0.1), metavar="M", help=cell)
-    slip = "of the hull in the flow solver, at the paper's grid: 1 slides, 0 sticks; default 1, of hybrid the fitted water's"
+    slip = (
+        "slip ratio of the hull in the flow solver, at the paper's grid: 1 free slip, 0 no slip; default 1, of hybrid the fit's"
+    )
     add("--slip", type=console.number(0, 1), help=slip)
     boundary_option(add, default=None)
-    bits = "of the populations of --water lbm: float16 is half the memory traffic; default float32"
+    bits = "float type of the populations of --water lbm; float16 halves the memory traffic; default float32"
     add("--storage", choices=("float32", "float16"), help=bits)
-    place = "of the flow solver: auto, cpu, cuda, cuda:N; of --water lbm also cuda:all or a list of devices; default auto"
+    place = "device of the flow solver: auto, cpu, cuda, cuda:N; with --water lbm also cuda:all or a list; default auto"
     add("--device", type=console.devices, default="auto", help=place)
-    add(EVERY, type=console.number(4, 600), metavar="S", help="of --water hybrid: from segment to segment of 3.5 s; default 50")
-    tanks = "trials of --water lbm on each device, or segments of hybrid, side by side; 12 or more keep one GPU busy; default 1"
+    add(EVERY, type=console.number(4, 600), metavar="S", help="period of the 3.5 s segments of --water hybrid; default 50")
+    tanks = "number of parallel tanks: trials of --water lbm on each device, or segments of hybrid; 12 fill one GPU; default 1"
     add("--tanks", type=console.whole(1, 256), default=1, help=tanks)
-    spread = f"judge over the workers of a cluster: {ray_cluster.OPTION}; each takes a controller, with --water lbm some trials"
-    add("--ray", type=console.text, metavar="ADDRESS", help=f"{spread}; default here")
+    spread = f"evaluate on the workers of a cluster: {ray_cluster.OPTION}; each takes a controller, with --water lbm some trials"
+    add("--ray", type=console.text, metavar="ADDRESS", help=f"{spread}; default: this machine")
     add("--turbulence", choices=tuple(PRESETS), help="kind of turbulence of the current; default: default")
-    add("--intensity", type=console.number(0, 0.99), help="of the turbulence, u_rms / max(speed, 0.1 m/s); default 0.05")
-    tank = "a tank's, of fishmj deploy flow-map: TI at every speed, and the kind with the nearest length scale; default none"
+    add("--intensity", type=console.number(0, 0.99), help="turbulence intensity, u_rms / max(speed, 0.1 m/s); default 0.05")
+    tank = "map from fishmj deploy flow-map: sets the measured TI at each speed, and the turbulence nearest in length scale"
     add("--flow-map", type=console.path, metavar="FILE", help=tank)
     speeds = console.Listed(console.number(0, 1))
     add("--speeds", type=speeds, metavar="M/S,..", help="speeds of the current; default 0.1,0.2,0.3, of angle_of_attack 0.2")
     los = console.Listed(console.number(-360, 360), 360, same=lambda degrees: degrees % 360)
-    angle = "lines of sight, fish to target at the start: 0 straight upstream, 90 to its left; default 0,45,..,315; of"
-    angle += " angle_of_attack the start's heading from upstream, default -180,-90,0,90"
+    angle = "directions from fish to target at the start: 0 upstream, 90 to its left; default 0,45,..,315; with"
+    angle += " angle_of_attack the initial heading from upstream, default -180,-90,0,90"
     add("--los", type=los, metavar="DEG,..", help=angle)
-    add("--repeats", type=console.whole(1, protocol.MOST), metavar="N", help="trials of every speed and direction; default 3")
-    add("--heading", choices=protocol.HEADINGS, default="upstream", help="of the fish at the start; uniform: drawn")
-    add("--engine", choices=engines.NAMES, default="batch", help="what moves the fish; batch (MuJoCo in C) judges")
-    add("--duration", type=console.number(1, 600), metavar="S", help="of a trial; default 60, of the other tasks 61 and 30")
-    add("--seed", type=console.SEED, default=0, help="of all draws")
-    add("--seeds", choices=protocol.SETS, default="judge", help="which draws; tune is for choosing gains and checkpoints")
-    path = "servo commands between two decisions, as of train; default the robot's. Policies of another need --anyway"
+    add("--repeats", type=console.whole(1, protocol.MOST), metavar="N", help="trials for each speed and direction; default 3")
+    add("--heading", choices=protocol.HEADINGS, default="upstream", help="initial heading of the fish; uniform: random")
+    add("--engine", choices=engines.NAMES, default="batch", help="physics engine; the standard is batch (MuJoCo in C)")
+    add(
+        "--duration",
+        type=console.number(1, 600),
+        metavar="S",
+        help="length of a trial; default 60; figure_eight 61, angle_of_attack 30",
+    )
+    add("--seed", type=console.SEED, default=0, help="seed of all draws")
+    add("--seeds", choices=protocol.SETS, default="judge", help="set of turbulence; tune is for choosing gains and checkpoints")
+    path = "servo commands between two decisions, as in train; default the robot's. Policies trained on another need --anyway"
     add("--command-path", choices=COMMAND_PATHS, help=path)
-    step = "between two decisions, as of train, a multiple of the bus tick of 0.02 s; default the robot's, 0.2 for fish"
-    add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step}. Policies of another are refused")
+    step = "time between two decisions, as in train, a multiple of the bus tick of 0.02 s; default the robot's, 0.2 for fish"
+    add("--control-dt", type=console.number(5e-3, 10), metavar="S", help=f"{step}. Policies trained with another are refused")
     control.anyway_option(parser)
     own_effects.option(parser)
     own_effects.drawn_option(parser)
-    left = "judge without these of the robot's effects (default none); --water lbm refuses those that are the water's own"
+    left = "evaluate without these effects of the robot (default none); --water lbm does not support effects on water forces"
     add("--leave-out", type=console.Listed(console.text), default=(), metavar="NAME,..", help=left)
-    add("--no-randomisation", action="store_true", help="the nominal fish, nominal latencies")
+    add("--no-randomisation", action="store_true", help="nominal fish and latencies")
     add("--no-noise", action="store_true", help="exact observations")
-    out = (
-        "folder for report.html, results.json, trials.csv; an older report in it is replaced whole; by default nothing is written"
-    )
+    out = "folder for report.html, results.json, trials.csv; an older report in it is replaced; by default nothing is written"
     add("--out", type=console.out_folder, metavar="DIR", help=out)
-    add("--plots", action="store_true", help="with --out: pictures too, also in the report")
-    add("--log", action="store_true", help="with --out: every trial as a trial folder, for replay")
+    add("--plots", action="store_true", help="with --out: also write plots, and put them into the report")
+    add("--log", action="store_true", help="with --out: also write each trial as a trial folder, for replay")
     return parser
 
 
@@ -118,21 +123,21 @@ def main(argv: list[str]) -> int:
     for some, waters in of:
         if args.water not in waters and (unused := [o for o in given if o in some]):
             words = " or ".join(f"--water {name}" for name in waters)
-            raise ConfigError(f"evaluate: {', '.join(unused)}: of {words} only; leave it out, or add it")
+            raise ConfigError(f"evaluate: {', '.join(unused)}: needs {words}; add it, or leave the option out")
     if args.water == choice.LBM and args.engine != "batch":
-        raise ConfigError(f"evaluate: --engine {args.engine} with --water lbm, which is an engine itself; leave one of them out")
+        raise ConfigError(f"evaluate: --engine {args.engine} with --water lbm, which replaces the engine; leave one of them out")
     joined, drawn = own_effects.join(args.effects), tuple(args.randomise_effects or ())
     if drawn and (args.no_randomisation or args.water == choice.LBM):
         other = "--no-randomisation" if args.no_randomisation else "--water lbm"
-        raise ConfigError(f"evaluate: --randomise-effects beside {other}; leave one of them out")
+        raise ConfigError(f"evaluate: --randomise-effects with {other}; leave one of them out")
     if (args.plots or args.log) and args.out is None:
-        raise ConfigError("evaluate: --plots and --log write files; say where with --out DIR")
+        raise ConfigError("evaluate: --plots and --log write files; add --out DIR")
     water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM, choice.HYBRID), "evaluate")
     robot = engines.with_effects(water.robot, drawn)
     for effect in joined:
         if effect.name not in {fitted.name for fitted in robot.effects}:
             console.warn(
-                f"{effect.name} is in the catalogue now, and not in robot {robot.name}: it acts where the description has"
+                f"{effect.name} was added to the catalogue, but robot {robot.name} does not have it: add to its description"
                 f' [[effect]] name = "{effect.name}"'
             )
     robot = tank_effects.without(robot, args.leave_out)
@@ -188,14 +193,14 @@ def main(argv: list[str]) -> int:
 
 
 def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
-    """Trials in the turbulence that was measured in a tank; prints the properties that a simulated flow lacks.
+    """Trials in turbulence measured in a tank; prints how the simulated flow differs.
 
-    Raises ConfigError: the map lacks a speed, or an option contradicts its turbulence.
+    Raises ConfigError: the map lacks a speed, or an option contradicts the map.
     """
     from fishmj.water.flow_map.flow_map import FlowMap, preset_for
 
     if args.turbulence is not None or args.intensity is not None:
-        raise ConfigError("evaluate: --flow-map says what the turbulence is; leave --turbulence and --intensity out")
+        raise ConfigError("evaluate: --flow-map sets the turbulence; leave --turbulence and --intensity out")
     found = FlowMap.read(args.flow_map)
     waters = {float(speed): found.for_speed(float(speed)) for speed in sorted(set(trials.speed.tolist()))}
     kind, said = preset_for([water.length for water in waters.values()])
@@ -204,7 +209,7 @@ def in_a_tank(trials: protocol.Trials, args) -> protocol.MeasuredTrials:
 
 
 def begin(water: choice.WaterChoice, brains, drawn: tuple[str, ...], more: str = "") -> None:
-    """Prints the water of the judgement, and the differences from the policies' training."""
+    """Prints the water of the evaluation, and the differences from the policies' training."""
     console.say(f"water: {water.said}{more}")
     for note in (note for brain in brains for note in getattr(brain, "notes", ())):
         console.warn(note)
@@ -214,19 +219,19 @@ def begin(water: choice.WaterChoice, brains, drawn: tuple[str, ...], more: str =
 
 
 def judged(brains, robot, trials, args, kept: FinishedTrials) -> list[Result]:
-    """Results of all controllers; those that an interrupted judgement had finished come from --out."""
+    """Results of all controllers; those that an interrupted evaluation had finished are read from --out."""
     found = {brain.name: kept.keep(brain, there) for brain in brains if (there := kept.find(brain)) is not None}
     ours = lambda: [found[b.name]._replace(left_out=tuple(args.leave_out)) for b in brains if b.name in found]
     waiting = [brain for brain in brains if brain.name not in found]
     for brain, result in judge_each(waiting, robot, trials, args) if waiting else ():
         found[brain.name] = kept.keep(brain, result)
-        if args.out is not None and kept.unfinished:  # figures of what is finished, whatever becomes of the rest
+        if args.out is not None and kept.unfinished:  # save finished results, in case a later controller fails
             trial_report.save(args.out, ours(), findings(ours(), args) | {"unfinished": kept.unfinished})
     return ours()
 
 
 def judge_each(brains, robot, trials, args) -> Iterator[tuple[Any, Result]]:
-    """Yields controllers and results as they are judged, here or over a Ray cluster."""
+    """Yields controllers and results as they finish, here or on a Ray cluster."""
     with console.Progress(1, "judge") as bar:
         bar.stage(f"compiling the engine {args.engine}")
         engine = choose_engine(args.engine, robot)
@@ -242,9 +247,9 @@ def judge_each(brains, robot, trials, args) -> Iterator[tuple[Any, Result]]:
 
 
 def hybrid_options(args, robot, trials, brains: int):
-    """Schedule and solver options of the water's correction.
+    """Schedule and solver options of the hybrid water.
 
-    Raises TooMuch: the solver would take a CPU too long; ConfigError: several devices.
+    Raises TooMuch: the solver would take too long on a CPU; ConfigError: several devices.
     """
     from fishmj.engines.hybrid import HybridOptions
     from fishmj.lbm_oracle.fluid.device import several
@@ -265,14 +270,14 @@ def hybrid_options(args, robot, trials, brains: int):
 
 
 def tanks_words(folder: Path | None) -> str:
-    """Text of an interrupted judgement in the flow solver."""
+    """Text for an interrupted evaluation in the flow solver."""
     if folder is None:
-        return "nothing was kept: with --out DIR every finished trial is"
+        return "nothing was saved; with --out DIR every finished trial is saved"
     return f"{folder / KEPT} holds {len(list((folder / KEPT).glob('*.npz')))} trials; {interrupt.again()}"
 
 
 def affordable(robot, trials, brains: int) -> None:
-    """Checks that this machine can hold the judgement. Raises TooMuch with the estimate."""
+    """Checks that this machine has enough memory for the evaluation. Raises TooMuch with the estimate."""
     ticks = trials.duration / robot.timing.bus_dt * len(trials)
     need = ticks * (brains * HELD + WORK) * (robot.n_joints + 3)
     what, less = f"{len(trials)} trials of {trials.duration:g} s by {brains} controllers", "take fewer --repeats, or a part by"
@@ -280,7 +285,7 @@ def affordable(robot, trials, brains: int) -> None:
 
 
 def choose_engine(name: str, robot):
-    """Engine by name; without batched MuJoCo the next one that is installed, with a note."""
+    """Engine by name; if batched MuJoCo is not installed, the next available one, with a warning."""
     for option in (name, *FALLBACKS) if name == "batch" else (name,):
         try:
             made = engines.make(option, robot)
@@ -288,13 +293,13 @@ def choose_engine(name: str, robot):
             reason = error
             continue
         if option != name:
-            console.warn(f"engine {name} is not available ({reason}); judged on {option} instead")
+            console.warn(f"engine {name} is not available ({reason}); using {option} instead")
         return made
     raise ConfigError(f"engine {name}: not available in this build: {reason}")
 
 
 def judge(brain, robot, trials, engine) -> Result:
-    """Result of one controller over all trials, with a progress line in simulated seconds."""
+    """Evaluates one controller over all trials, with a progress line in simulated seconds."""
     with console.Progress(trials.duration * len(trials), f"judge {brain.name}", unit="sim s") as bar:
         done = robot.timing.control_dt * len(trials)
         bar.stage("first step; engines compile in it")
@@ -302,7 +307,7 @@ def judge(brain, robot, trials, engine) -> Result:
 
 
 def judge_in_tanks(brains, robot, trials, args) -> Iterator[Result]:
-    """Yields the result of each controller in the flow solver; finished trials are kept in --out and not run again."""
+    """Yields the result of each controller in the flow solver; finished trials are saved in --out and not run again."""
     what = brains[0].name if len(brains) == 1 else f"{len(brains)} controllers"
     with console.Progress(trials.duration * len(trials) * len(brains), f"judge {what} in the solver", unit="sim s") as bar:
         if args.ray:
@@ -327,7 +332,7 @@ def findings(results: list[Result], args) -> dict:
 
 
 def report(results: list[Result], args) -> int:
-    """Writes the requested files, then prints the tables, also if a part of the report could not be written."""
+    """Writes the requested files and prints the tables, even if a part of the report could not be written."""
     from fishmj.view.replay import write_html
 
     found = findings(results, args)
@@ -344,7 +349,7 @@ def report(results: list[Result], args) -> int:
 
 
 def say_tables(results: list[Result], summaries: list[dict]) -> None:
-    """Prints the figures of all controllers."""
+    """Prints the metrics of all controllers."""
     head = [trial_report.condition(results[0]), *trial_report.not_as_trained(summaries), *trial_report.failures(results)]
     console.say("", *head, "value (95 % bootstrap interval over trials)", "")
     console.say(console.table(trial_report.overall(summaries)), "")

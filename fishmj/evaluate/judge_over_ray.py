@@ -1,6 +1,6 @@
-"""Judging over the workers of a Ray cluster: each judges a controller over all trials, which gives the figures of one machine.
+"""Evaluation on the workers of a Ray cluster: each evaluates a controller over all trials, with the results of one machine.
 
-A part of the trials would not: engines and networks may round otherwise in a smaller batch.
+Trials of a controller are not split, because engines and networks may round differently in a smaller batch.
 """
 
 from collections import deque
@@ -39,12 +39,12 @@ def judge_over_ray(
     hybrid: "HybridOptions | None" = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> Iterator[tuple[Any, Result]]:
-    """Yields controllers and results in the order in which workers finish.
+    """Yields controllers and results as workers finish them.
 
     Args:
         engine: its name. hybrid: schedule of its corrections. progress: called with simulated seconds, summed over everything.
 
-    Raises ConfigError: no such cluster, or controllers that no worker ended, when all others are yielded. Errors as `run`.
+    Raises ConfigError: no such cluster; or, after all other results, controllers that no worker finished. Errors as `run`.
     """
     cluster, done = RayCluster(address), 0
     each = trials.duration * len(trials)

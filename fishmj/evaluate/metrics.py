@@ -1,37 +1,37 @@
-"""Results of a judgement: the time series of every trial, one figure a trial for each key, and their statistics.
+"""Results of an evaluation: time series of every trial, metrics of each trial by key, and their statistics.
 
-    arrival             1 if the fish enters 0.1 m within 30 s; none if it has not when a shorter trial ends in the domain
+    arrival             1 if the fish comes within 0.1 m in 30 s; none if a shorter trial ends before that, inside the domain
     approach_time       s, of the first entry
     rmse_after_arrival  m, sqrt(mean d^2) from first entry to 30 s; without arrival 10 to 30 s
     rmse_last20, rmse_total     m, over 40 to 60 s and 0 to 30 s
     power               W, electrical, idle included
-    energy_per_metre    J/m of way through the water, over more than the fish's length;  cost_of_transport = that / (m g)
+    energy_per_metre    J/m of path through the water, if longer than the fish;  cost_of_transport = that / (m g)
     rheotactic_index    mean of cos(psi - upstream) over 30 to 60 s; rheotactic_index_linear = 1 - mean |psi - upstream| / 90 deg;
                         in still water, which has no upstream, a trial has neither
 
 The course angle_of_attack, with rmse_total and power as above:
 
     settled             1 if the fish is within 0.1 m for the last 5 s
-    settling_time       s, from which on it stays within 0.1 m until the end
+    settling_time       s, after which it stays within 0.1 m until the end
     furthest            m, largest distance
 
 The course figure_eight, with power and the energies as above:
 
-    cross_track         m, RMS distance to the path: to its nearest point within a quarter of the figure of the target
+    cross_track         m, RMS distance to the nearest point of the path within a quarter of the figure around the target
     on_path             share of the time within 0.1 m of the path
     tracking_rmse       m, RMS distance to the moving target
 
-A figure is NaN if a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat does not count as
-turning or as way. A trial that leaves the domain keeps its distance from then on; power, way and heading count until it leaves.
-If the flow solver fails in a trial, its later distance is NaN, and so is every figure over that time.
-Means have bootstrap intervals, by condition, and in paired comparisons:
+A metric is NaN if a trial has none. psi and the speed through the water are averaged over 1 s, so that the beat counts neither as
+turning nor as path. A trial that leaves the domain keeps its distance from then on; power, path and heading count until it
+leaves. If the flow solver fails in a trial, its later distance is NaN, and so is every metric over that time. Means have
+bootstrap intervals, by condition, and in paired comparisons:
 
     interval      percentile bootstrap over trials, 95 %, fixed seed (Efron & Tibshirani 1993)
     difference    mean of b_i - a_i over the trials that both have, its bootstrap interval, and Welch's t-test of a against b
-    too few       fewer than `ENOUGH` trials have neither interval nor test (NaN): a bootstrap of so few draws the same values
-                  again and again, and its interval is far too narrow (one trial: width zero)
-    told apart    the interval excludes 0, for `APART` pairs or more: with fewer pairs even two equal controllers give all
-                  differences the same sign in 2^(1 - n) > 5 % of the draws, so that no 95 % interval can decide
+    too few       fewer than `ENOUGH` trials have neither interval nor test (NaN), because a bootstrap interval of so few is far
+                  too narrow (one trial: width zero)
+    told apart    the interval excludes 0, for `APART` pairs or more: with fewer pairs, all differences of two equal controllers
+                  have the same sign with probability 2^(1 - n) > 5 %, so that no 95 % interval can decide
 
 Approach and settling time are medians over the trials that have one; every other key is a mean over the trials that have it.
 """
@@ -97,9 +97,9 @@ class Result(NamedTuple):
     distance: np.ndarray  # (n, T + 1) m, frozen where a trial left the domain
     left: np.ndarray  # (n,) tick at which the trial left, T + 1 if it did not
     policy: dict | None = None  # of a policy: how it was trained, and what is different here (`LearnedController.trained`)
-    left_out: tuple[str, ...] = ()  # effects of the description that the judged robot has not
+    left_out: tuple[str, ...] = ()  # effects of the description that were left out
     corrections: np.ndarray | None = None  # (n,) JSON of `fishmj.engines.hybrid.Hybrid.report`, of the water hybrid
-    known: dict[str, np.ndarray] | None = None  # its figures (n,), of a judgement read back from its trials.csv: no time series
+    known: dict[str, np.ndarray] | None = None  # metrics (n,) read back from a trials.csv, without time series
 
     @property
     def water(self) -> str:
@@ -151,7 +151,7 @@ def hold_figures(r: Result) -> dict[str, np.ndarray]:
 def energies(r: Result) -> dict[str, np.ndarray]:
     """Power and energies (n,) until a trial ends or leaves."""
     energy = _until_left(r, r.power).sum(1) * r.robot.timing.bus_dt
-    way = _way(r)  # a fish that is carried along makes none, and less than its own length tells nothing
+    way = _path_length(r)  # zero for a drifting fish; paths shorter than the fish are not used
     per_metre = energy / np.where(way > r.robot.length, way, np.nan)
     return {
         "power": energy / (np.maximum(np.minimum(r.left, r.power.shape[1]), 1) * r.robot.timing.bus_dt),
@@ -200,15 +200,17 @@ def rms(r: Result, start, end: float) -> np.ndarray:
     """Root mean square distance from `start` ((n,) or one number) to `end` [s]; NaN if the run is shorter."""
     start = np.broadcast_to(start, (len(r.trials),))[:, None]
     inside = (r.t >= start - 1e-9) & (r.t <= end + 1e-9)
-    mean = np.sum(np.where(inside, r.distance, 0.0) ** 2, 1) / np.maximum(inside.sum(1), 1)  # NaN counts inside alone
+    mean = np.sum(np.where(inside, r.distance, 0.0) ** 2, 1) / np.maximum(
+        inside.sum(1), 1
+    )  # NaN outside the window does not count
     return np.where((r.t[-1] >= end - 1e-9) & inside.any(1), np.sqrt(mean), np.nan)
 
 
 def rheotaxis(r: Result, window: tuple[float, float] | None = None, bounded: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Rheotactic indices (RI_cos, RI_lin), each (n,).
 
-    window: s, default the hold phase. bounded: headings count until a trial leaves the domain. In still water they are about the
-    direction that `trials.upstream` gives a stream: of headings that turn anyhow they are 0 on average, as in the paper's figure.
+    window: s, default the hold phase. bounded: headings count until a trial leaves the domain. In still water, headings are
+    relative to the direction `trials.upstream`: random headings give 0 on average, as in the paper's figure.
     """
     start, end = constant("protocol", "rheotaxis_window") if window is None else window
     heading = beat_mean(r.pose[:, :, 2], r.robot.timing.bus_dt)
@@ -228,8 +230,8 @@ def beat_mean(x, dt: float):
     return (total[:, high] - total[:, low]) / (high - low)
 
 
-def _way(r: Result) -> np.ndarray:
-    """Way through the undisturbed stream until the trial ends or leaves, (n,) m."""
+def _path_length(r: Result) -> np.ndarray:
+    """Path length through the undisturbed stream until the trial ends or leaves, (n,) m."""
     mean = np.array([f.mean[:2] for f in r.trials.flows()])
     relative = r.velocity[:, 1:, :2] - mean[:, None]
     dt = r.robot.timing.bus_dt

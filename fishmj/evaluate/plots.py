@@ -1,7 +1,6 @@
-"""Pictures of judged trials, like the paper's: distance curves, radar over directions, headings, tracks.
+"""Plots of evaluated trials, like the paper's: distance curves, radar over directions, headings, tracks.
 
-Axes are the stream's: upstream is up, LOS is counted counter-clockwise from upstream. Lines differ in colour and in dash, and
-carry their name.
+Upstream is up; LOS is measured counter-clockwise from upstream. Lines differ in colour and dash, and are labelled.
 """
 
 from itertools import cycle

@@ -1,9 +1,9 @@
-"""The card of a policy: its training and cost, where it holds station and where not, and its worst trial.
+"""Card of a policy: its training and cost, conditions in which it holds station, and its worst trial.
 
     station.safetensors    weights and a header about the training (`fishmj.control.policy`)
     station.card.json      this file: training curve and judgements, from the results.json of `fishmj evaluate`
 
-A card belongs to the weights with its sha256. A policy without one has the card of its header alone.
+A card contains the sha256 of its weights. A policy without a card file has the card that its header gives.
 """
 
 import json
@@ -161,7 +161,7 @@ def read_card(source: str | Path) -> PolicyCard:
     card = _checked(read_json(path), str(path))
     if card.sha256 != (digest := sha256(file_of(source))):
         message, name = f"{path}: of the weights {card.sha256[:12]}; these are {digest[:12]}", shlex.quote(str(source))
-        raise ConfigError(f"{message}; make it again with `fishmj policy {name} --judged DIR ..`, or remove it")
+        raise ConfigError(f"{message}; make the card again with `fishmj policy {name} --judged DIR ..`, or remove it")
     return card
 
 

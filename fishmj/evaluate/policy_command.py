@@ -1,4 +1,4 @@
-"""A policy's card: its training, where it holds station and where not, its worst trial; export as ONNX."""
+"""Card of a policy: its training, conditions in which it holds station, its worst trial; export as ONNX."""
 
 import shlex
 from collections import Counter
@@ -35,10 +35,10 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if args.policy is None:
         if args.judged or args.curve or args.onnx:
-            raise ConfigError("policy: --judged, --curve and --onnx are of one policy; name it")
+            raise ConfigError("policy: --judged, --curve and --onnx need a policy; name it")
         return listed(args.json)
     if args.curve and not args.judged:
-        raise ConfigError("policy: --curve is of --judged; add it, or leave --curve out")
+        raise ConfigError("policy: --curve needs --judged; add it, or leave --curve out")
     answer: dict[str, Any] = {}
     if args.judged:
         curve = args.curve or curve_beside(args.policy)

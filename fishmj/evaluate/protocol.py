@@ -30,8 +30,8 @@ from fishmj.water.flow import Current, Flow
 HEADINGS = ("upstream", "uniform")
 LIMITS: dict[str, tuple] = {"duration": (1, 600), "direction": background.TURN}  # of `Trials`
 LIMITS |= {key: (0, LARGEST[key]) for key in ("intensity", "randomisation", "noise")}
-MOST = 1000  # repeats of a condition
-SETS = ("tune", "judge")  # boxes of turbulence; "train" is never judged on
+MOST = 1000  # largest number of repeats of a condition
+SETS = ("tune", "judge")  # sets of turbulence; "train" is never used in evaluations
 HOLD, EIGHT, ANGLE = TASKS = ("station_hold", "figure_eight", "angle_of_attack")
 
 
@@ -50,7 +50,7 @@ class TrialSpec(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Trials:
-    """Trials of a judgement, and their common settings."""
+    """Trials of an evaluation, and their common settings."""
 
     items: tuple[TrialSpec, ...]
     turbulence: str
@@ -64,7 +64,7 @@ class Trials:
     task: str = HOLD
     effects: tuple[str, ...] = ()  # of the robot, drawn in typical sizes for each trial
     steady: ClassVar[bool] = True  # the mean stream does not change within a trial
-    drawn_as: ClassVar[str] = ""  # of a subclass whose draws are not those of the items' seeds
+    drawn_as: ClassVar[str] = ""  # label for a subclass with other draws than those of the items' seeds
 
     def __post_init__(self):
         for key, bounds in LIMITS.items():
@@ -132,7 +132,7 @@ class Trials:
         ]
 
     def stream(self, current: Current, t: float) -> Current:
-        """Flow of all trials from time t [s] on, given that before; of a steady stream the same."""
+        """Flow of all trials from time t [s] on, given the previous one; unchanged for a steady stream."""
         return current
 
     @property
@@ -142,7 +142,7 @@ class Trials:
 
     @property
     def turbulence_said(self) -> str:
-        """Kind and strength of the turbulence, for people."""
+        """Kind and strength of the turbulence as text."""
         return "no turbulence" if self.turbulence == "none" else f"{self.turbulence} turbulence {100 * self.intensity:g} %"
 
     def fish(self, robot: Robot):
@@ -253,13 +253,15 @@ def trials(
     speeds, los_deg = (tuple(value) if np.iterable(value) else (value,) for value in (speeds, los_deg))
     repeats = get("repeats") if repeats is None else repeats
     if not speeds or not los_deg:
-        raise ConfigError(f"trials: {len(speeds)} speeds x {len(los_deg)} directions is nothing to judge; expected one of each")
+        raise ConfigError(
+            f"trials: {len(speeds)} speeds x {len(los_deg)} directions give no trials; expected at least one of each"
+        )
     for name, values, bounds in (("speeds", speeds, (0, 1)), ("los_deg", los_deg, ())):
         for value in values:
             checked(f"trials: {name}", value, *bounds)
         kinds = [value % 360 for value in values] if name == "los_deg" else list(values)
         if twice := [value for value, kind in zip(values, kinds, strict=True) if kinds.count(kind) > 1]:
-            raise ConfigError(f"trials: {name} = {shown_value(list(values))}: {twice[-1]:g} stands there twice; name each once")
+            raise ConfigError(f"trials: {name} = {shown_value(list(values))}: {twice[-1]:g} is given twice; give each once")
     repeats, seed = checked("trials: repeats", repeats, 1, MOST, whole=True), checked("trials: seed", seed, 0, whole=True)
     key = lambda u, b: (seed, background.BOXES[box], round(1e4 * u), round(100 * (b % 360)))
     items = tuple(

@@ -1,7 +1,7 @@
-"""Run a controller over all trials at once: observe -> controller -> engine -> record.
+"""Runs a controller over all trials at once: observe -> controller -> engine -> record.
 
-`run` is the judge's whole loop. The engine is batched MuJoCo by default; all engines give the same swim. `judge_in_solver` runs
-the same trials in the flow solver, one tank each. Finished trials are kept for an interrupted judgement.
+`run` is the loop of an evaluation, with batched MuJoCo by default; all engines compute the same motion. `judge_in_solver` runs
+the same trials in the flow solver, one tank each, and saves finished trials, so that an interrupted evaluation can continue.
 """
 
 import gc
@@ -56,14 +56,14 @@ def run(
     shift: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[int], object] = lambda step: None,
 ) -> Result:
-    """Judges one controller.
+    """Evaluates one controller.
 
     Args:
         controller: name, policy file, or an object with `name`, `reset` and `__call__` (see `fishmj.control`).
-        robot: a description is in the engine's water where an engine is given, otherwise in its own or the default one.
+        robot: a description uses the water of a given engine, otherwise its own or the default one.
         trials: default, the 72 trials with `seed` (default 0).
         engine: name or engine; None is the fastest one here.
-        shift: offset in m of every fish from the start of its trial; its camera has not seen it yet.
+        shift: offset [m] of every fish from the start of its trial, which the camera sees only after its latency.
         progress: called with the number of control steps done.
 
     Raises SimDiverged: names the trial. ConfigError: an invalid argument, or an engine whose fish swims in another water.
@@ -94,7 +94,7 @@ def _checked_controller(controller):
 
 
 def running(controller, robot: Robot, trials: Trials, engine, shift, progress: Callable[[int], object]) -> engines.Steps[Result]:
-    """Does the work of `run`, pausing whenever the engine waits for a device and other trials could continue."""
+    """Does `run` as a generator, which yields while the engine waits for a device, so that other trials can continue."""
     loop = ControlLoop(robot, engine)
     n, steps = len(trials), task.control_steps(trials.duration, robot)
     params, camera = trials.fish(robot)
@@ -179,10 +179,10 @@ def _named(error: SimDiverged, trials: Trials, time: float) -> SimDiverged:
 
 
 class FinishedTrials:
-    """Finished controllers of a judgement, kept until all are finished: the same command then continues with the next one.
+    """Saved results of finished controllers, with which the same command continues an interrupted evaluation.
 
-    A file is used only by a judgement under the same conditions: controller, robot, water, trials, engine, and the code and
-    constants of this package, all in its name by hash. A judgement that ends removes its kept files.
+    A file is reused only for the same controller, robot, water, trials, engine, code and constants of this package, whose hash is
+    in its name. A complete evaluation removes its files.
     folder: --out; None keeps nothing. engine: its name.
     """
 
@@ -201,7 +201,7 @@ class FinishedTrials:
             given: dict[str, Any] = {name: arrays.get(name) for name in ARRAYS}
         except StoreError:  # damaged: judged again
             return None
-        console.warn(f"{brain.name} was judged before under the same conditions: taken from {path}")
+        console.warn(f"{brain.name} was evaluated before under the same conditions: reusing {path}")
         known: dict[str, Any] = {"controller": brain.name, "policy_sha256": getattr(brain, "sha256", ""), "engine": self.engine}
         return Result(
             robot=self.robot, trials=self.trials, policy=trained(brain, self.robot, self.trials.effects), **known, **given
@@ -223,7 +223,7 @@ class FinishedTrials:
     def words(self) -> str:
         """Text of an interrupted judgement: the kept controllers, and the command that continues."""
         if self.folder is None:
-            return "nothing was kept: with --out DIR every finished controller is"
+            return "nothing was saved; with --out DIR every finished controller is saved"
         return f"{self.folder} holds {len(self.done)} of {len(self.names)} controllers; {interrupt.again()}"
 
     def end(self) -> None:
@@ -408,7 +408,7 @@ def in_tanks(
                 yield key, _arrays(end.value, engine)
                 emptied += 1
                 del engine, steps
-        # captured launches and their tank refer to each other: without this a GPU fills up with old water
+        # captured launches and their tank form reference cycles: without collection old tanks fill the GPU's memory
         if emptied >= tanks and not device.startswith("cpu"):
             gc.collect()
             emptied = 0
@@ -424,7 +424,7 @@ def _copies(brain, tanks: int) -> bool:
         deepcopy(brain)
     except Exception as error:  # noqa: BLE001  somebody else's: whatever it holds
         if tanks > 1:
-            console.warn(f"{brain.name}: cannot be copied ({error!r}), so that its trials run one after another")
+            console.warn(f"{brain.name}: cannot be copied ({error!r}), so its trials run one after another")
         return False
     return True
 

@@ -1,6 +1,6 @@
-"""Tables of a judgement and its files: results.json, trials.csv, pictures, trial folders, one self-contained report.html.
+"""Report of an evaluation: tables, results.json, trials.csv, plots, trial folders, one self-contained report.html.
 
-Tables have the same rows in the terminal and on the page: with units and intervals, every condition named.
+Tables in the terminal and on the page have the same rows, with units, intervals and conditions.
 """
 
 import csv
@@ -81,7 +81,7 @@ MEANING = {
 
 
 def condition(result: Result) -> str:
-    """Line that names everything on which a figure depends."""
+    """Line with all conditions on which the results depend."""
     t = result.trials
     speeds = "/".join(f"{u:g}" for u in sorted(set(t.speed)))
     switch = lambda on: "on" if on else "off"

@@ -1,11 +1,10 @@
-"""Tune the gains of hand-made controllers in a water or a family of waters: CMA-ES, the same budget for each.
+"""Tune the gains of classical controllers in a water or a family of waters by CMA-ES, with the same budget for each.
 
     score = mean over trials of rmse_after_arrival + rmse_last20 + 0.2 rmse_total + 0.2 (1 - arrival) + 0.01 power / W
 
-Each candidate swims 24 tuning trials with sensor noise and randomised fish; every generation has new draws, in turn with the
-default turbulence and in gusts of 10 %. The search runs over the logarithms of the gains whose source says `tuned`. The centre of
-the last generation is kept if it beats the first gains on 144 trials that no candidate swam, 72 of each turbulence; else the
-first gains are.
+Each candidate swims 24 tuning trials with sensor noise and randomised fish. Every generation has new draws, alternately with
+default turbulence and gusts of 10 %. The search runs over the logarithms of the gains whose source says `tuned`. The mean of the
+last generation is used if it scores better than the first gains on 144 held-out trials, 72 with each turbulence.
 """
 
 import re
@@ -32,11 +31,11 @@ from fishmj.water.water_identity import water_identity
 
 WEIGHTS = {"rmse_after_arrival": 1.0, "rmse_last20": 1.0, "rmse_total": 0.2, "arrival": -0.2, "power": 0.01}
 GENERATION, SPREAD, REACH = 16, 0.35, 6.0  # candidates; first standard deviation of a logarithm; largest factor on a gain
-LOST = 10.0  # score of gains with which nothing swims
-HELD_OUT = 999_983  # seed of the trials that decide, added to the seed of the command
+LOST = 10.0  # score of gains that fail
+HELD_OUT = 999_983  # added to the command's seed for the held-out trials
 EXAMPLES = """examples:
   fishmj tune dob --water family --out gains.toml          then: fishmj evaluate gains.toml:dob dob --water family
-  fishmj tune all --budget 640 --seed 1 --out gains.toml   every hand-made controller, the same budget for each
+  fishmj tune all --budget 640 --seed 1 --out gains.toml   all classical controllers, the same budget for each
   fishmj tune pi --robot pike.toml --out pike_gains.toml   for a fish of your own
 """
 
@@ -156,9 +155,15 @@ def options() -> console.Parser:
     add("controllers", nargs="+", action=console.Distinct, choices=(*tuned_names(), "all"), metavar="CONTROLLER", help=names)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--water", type=console.text, help=choice.HELP)
-    add("--budget", type=console.whole(GENERATION, 10**6), default=240, metavar="N", help="candidates for each controller")
-    add("--seed", type=console.SEED, default=0, help="of the search and its tuning trials")
-    out = "file of gains: sections of these controllers are replaced, and the search starts at those that are there"
+    add(
+        "--budget",
+        type=console.whole(GENERATION, 10**6),
+        default=240,
+        metavar="N",
+        help="number of candidates for each controller",
+    )
+    add("--seed", type=console.SEED, default=0, help="seed of the search and its trials")
+    out = "file of gains; the search starts from its gains, and replaces the sections of these controllers"
     add("--out", type=console.path, default=Path("gains.toml"), metavar="FILE", help=out)
     return parser
 
@@ -180,7 +185,7 @@ def main(argv: list[str]) -> int:
     for name in names:
         sources = [entry.get("source") for entry in there.get(name, {}).values() if isinstance(entry, dict)]
         if source.format(name) in sources:
-            console.warn(f"{name}: was tuned by this command before, see {args.out}; another --seed searches on from there")
+            console.warn(f"{name}: was tuned by this command before, see {args.out}; take another --seed to continue from there")
             continue
         kept = args.out.with_suffix(f".{name}.json")
         search = GainSearch.of(name, args.out if name in there else None)

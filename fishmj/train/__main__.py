@@ -191,7 +191,7 @@ def settings_from(args, run=None):
     from fishmj.train.settings import ALGORITHMS, ON_MJX, change, hyperparameters, own_code, preset, referred
 
     own_effects.join(args.effects)
-    s = run or preset(args.preset or (choice.LBM if args.engine == choice.LBM else _by_device()))
+    s = run or preset(args.preset or (choice.LBM if args.engine == choice.LBM else _default_preset()))
     for option, name in own_code(run).items() if run else ():
         if getattr(args, option[2:]) is None:
             raise ConfigError(f"the run uses your own code {name!r}, which only the command line may name: add {option} {name}")
@@ -245,7 +245,7 @@ def _in_solver(settings, args) -> None:
         raise ConfigError(f"{wrong[0]}: not supported in the flow solver; leave it out")
 
 
-def _asked_of(args) -> dict:
+def _policy_options(args) -> dict:
     """Options given by the user that the policy of --begin also fixes."""
     given = {"--hidden": args.hidden and tuple(args.hidden), "--memory": args.memory, "--command-path": args.command_path}
     given |= {"--control-dt": args.control_dt, "--activation": args.activation, "--sigma": args.sigma}
@@ -273,7 +273,7 @@ def corrected(args, command: str) -> int:
     out = args.out or Path("runs") / f"correct-{settings.preset}-{settings.seed}"
     where = {"slip": args.slip, "domain": args.domain, "device": args.device or "auto", "rounds": args.rounds}
     steps = None if args.steps is None else int(args.steps)
-    options = {"begin": args.begin, "asked": _asked_of(args), "steps": steps, "command": command}
+    options = {"begin": args.begin, "asked": _policy_options(args), "steps": steps, "command": command}
     try:
         found = correct_water.train_and_correct(settings, out, **where, **options)
     except KeyboardInterrupt:
@@ -291,7 +291,7 @@ def _trained_on_lbm(out: Path) -> bool:
     return any((run := of_run(folder)) is not None and run.engine == choice.LBM for folder in (out, *out.glob("seed-*")))
 
 
-def _by_device() -> str:
+def _default_preset() -> str:
     import jax
 
     return "quick" if jax.default_backend() == "cpu" else "paper"
@@ -426,7 +426,7 @@ def planned(args, point: str) -> list[PlannedRun]:
                 same(folder, change(settings, seed=seed), as_dict(there[folder]))
     begin = None
     if args.begin:
-        begin, settings = begin_with(args.begin, settings, _asked_of(args))
+        begin, settings = begin_with(args.begin, settings, _policy_options(args))
     settings = settled(settings)
     return [PlannedRun(change(settings, seed=seed), folder, begin, point) for seed, folder in folders.items()]
 

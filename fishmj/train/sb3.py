@@ -218,15 +218,15 @@ class StableLearner(ABC):
         self.seed = int(jax.random.key_data(key)[-1])
         self.model = self._make(network, gamma=c.gamma, learning_rate=c.learning_rate, seed=self.seed)
         self.model.set_logger(Logger(folder=None, output_formats=[]))  # the default logger makes a folder for each `learn`
-        return self._taken()
+        return self._snapshot()
 
     def iterate(self, training: SB3TrainState) -> tuple[SB3TrainState, dict]:
         """Does one iteration of SB3's loop. Returns (train state, metrics)."""
         if training is not self._now:
-            self._put(training)
+            self._load_state(training)
         # SB3 adds the steps already done to the requested total
         self.model.learn(self.steps_per_iteration, reset_num_timesteps=False, log_interval=None)
-        return self._taken(), {**self.shoal.metrics(), **self._figures(self.model.logger.name_to_value)}
+        return self._snapshot(), {**self.shoal.metrics(), **self._figures(self.model.logger.name_to_value)}
 
     def act(self, actor, obs):
         """Deterministic actions (B, J) for raw observations, in JAX."""
@@ -252,16 +252,16 @@ class StableLearner(ABC):
     def _optimisers(self) -> dict[str, Any]:
         """Optimisers of the networks, by their name in a checkpoint."""
 
-    def _loose(self) -> dict[str, Any]:
+    def _extra_tensors(self) -> dict[str, Any]:
         """Tensors for a checkpoint that do not belong to `model.policy`."""
         return {}
 
-    def _taken(self) -> SB3TrainState:
+    def _snapshot(self) -> SB3TrainState:
         """Copies the learner's state to NumPy arrays."""
         take = lambda t: t.detach().cpu().numpy().copy()
         m = self.model
         tensors = {f"policy.{k}": take(v) for k, v in m.policy.state_dict().items()}
-        tensors |= {k: take(v) for k, v in self._loose().items()} | {"steps": np.array(m.num_timesteps, np.int32)}
+        tensors |= {k: take(v) for k, v in self._extra_tensors().items()} | {"steps": np.array(m.num_timesteps, np.int32)}
         for name, optimiser in self._optimisers().items():
             for i, p in enumerate(optimiser.param_groups[0]["params"]):  # Adam's moments; zero before the first step
                 state = optimiser.state.get(p) or {"step": torch.zeros(()), "exp_avg": 0 * p, "exp_avg_sq": 0 * p}
@@ -270,12 +270,12 @@ class StableLearner(ABC):
         self._now = SB3TrainState([(take(layer.weight).T, take(layer.bias)) for layer in layers], tensors)
         return self._now
 
-    def _put(self, training: SB3TrainState) -> None:
+    def _load_state(self, training: SB3TrainState) -> None:
         """Loads these tensors into the learner and starts new episodes."""
         m = self.model
         tensor = {k: torch.tensor(np.asarray(v), device=m.device) for k, v in training.tensors.items()}
         m.policy.load_state_dict({k.removeprefix("policy."): v for k, v in tensor.items() if k.startswith("policy.")})
-        for name, value in self._loose().items():
+        for name, value in self._extra_tensors().items():
             value.data.copy_(tensor[name])
         for name, optimiser in self._optimisers().items():
             table = optimiser.state_dict()
@@ -371,11 +371,11 @@ class StableSAC(StableLearner):
         m = self.model
         return {"actor": m.actor.optimizer, "critic": m.critic.optimizer, "alpha": m.ent_coef_optimizer}
 
-    def _loose(self) -> dict[str, Any]:
+    def _extra_tensors(self) -> dict[str, Any]:
         return {"log_alpha": self.model.log_ent_coef}
 
-    def _put(self, training: SB3TrainState) -> None:
-        super()._put(training)
+    def _load_state(self, training: SB3TrainState) -> None:
+        super()._load_state(training)
         self.model.replay_buffer.reset()
 
 

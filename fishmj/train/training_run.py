@@ -225,9 +225,9 @@ class TrainingRun:
         self.episodes, self.dropped = 0, 0
         self.trained_on = trained_on(self.settings)
         self._saving, self._under_way = Lock(), False
-        self._held: tuple[dict, dict] | None = None
-        self._pace = 0.0  # s of the last iteration
-        self._looked = False
+        self._copy_before: tuple[dict, dict] | None = None
+        self._iteration_seconds = 0.0  # s of the last iteration
+        self._assessment_compiled = False
         self.bar = console.Progress(settings.steps, f"train on {self.devices} devices" if self.devices > 1 else "train", "steps")
         if not quiet:
             if settings.engine == "auto" and pick_engine(settings) == "planar":
@@ -256,7 +256,7 @@ class TrainingRun:
         board = MetricsLog(self.folder, after=self.done, assessed=self.assessed)
         if not self.quiet:
             self.bar.stage("compiling the first iteration")
-        with stop_on_signal(self._last_words) as asked, self.bar as bar:
+        with stop_on_signal(self._save_on_interrupt) as asked, self.bar as bar:
             write = lambda what, *to: when_there_is_room(lambda: what(*to), asked)
             if self._assessment_is_due():
                 self._judge(board, write)
@@ -289,8 +289,8 @@ class TrainingRun:
     def _judge(self, board: MetricsLog, write: Callable) -> None:
         """Assesses, records, and exports a new best policy; the assessment counts as done only after all of this."""
         began = time.monotonic()
-        with self.bar.aside("" if self.quiet or self._looked else "compiling the assessment"):
-            figures, better = self._look()
+        with self.bar.aside("" if self.quiet or self._assessment_compiled else "compiling the assessment"):
+            figures, better = self._assess_actor()
         every = self.settings.assess_every
         self.bar.ahead = (self.settings.steps // every - self.done // every) * (time.monotonic() - began)
         write(board.write, self.done, figures)
@@ -301,19 +301,19 @@ class TrainingRun:
     def _iterate(self) -> dict[str, float]:
         """Does one iteration. It consumes the state, so a copy is kept first if iterations are slow."""
         began = time.monotonic()
-        if self._pace > SLOW:
-            self._held = self._state()
+        if self._iteration_seconds > SLOW:
+            self._copy_before = self._state()
         self._under_way = True
         self.training, figures = self.algorithm.iterate(self.training)
         figures = reported(figures)  # waits for the device
         self._raise_failure(self.env)
-        self._pace, self._held = time.monotonic() - began, None
+        self._iteration_seconds, self._copy_before = time.monotonic() - began, None
         return figures
 
-    def _last_words(self) -> str:
+    def _save_on_interrupt(self) -> str:
         """Saves a checkpoint from before the running iteration, on an interrupt; called in another thread."""
         with self._saving:
-            held = self._held or (None if self._under_way else self._state())
+            held = self._copy_before or (None if self._under_way else self._state())
             newest = next((int(path.stem[5:]) for path in self.checkpoints.paths()), 0)
             if held and held[1]["done"] > newest:
                 newest = held[1]["done"]
@@ -322,9 +322,9 @@ class TrainingRun:
             return f"nothing is saved yet; {interrupt.again('start again')}"
         return go_on(self.folder, newest, self.settings, self.devices)
 
-    def _look(self) -> tuple[dict, bool]:
+    def _assess_actor(self) -> tuple[dict, bool]:
         """Assesses the present actor on the tuning flows; returns figures for the log, and True if it is the best so far."""
-        self._looked = True
+        self._assessment_compiled = True
         actor = jax.device_get(self.training.actor)  # the assessment runs on one device
         figures = self.assess(actor, jax.random.key(20_000))
         figures = {k: round(float(v), 5) for k, v in figures.items()}

@@ -41,7 +41,7 @@ KE = 0.5  # ke of the shipped descriptions
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine supports without the flow solver
 SOLVED = (HYBRID, LBM)  # waters that need the flow solver
 HELP = (
-    "water. fitted: strips and learnt residual fitted to the flow solver for this body, the default if there is a fit; family:"
+    "fitted: strips and learnt residual fitted to the flow solver for this body, the default if there is a fit; family:"
     " each randomised fish draws a water between several fits; structured: the description's own coefficients; none: air; or a"
     " fitted water by name (NAME-base: without the residual) or .toml file"
 )
@@ -105,18 +105,18 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
         name = stated or (FITTED if fitted_for(robot) else STRUCTURED)
     if name == STRUCTURED:
         why = "" if water is not None or stated else f"; {NOT_FITTED}: {FIT_IT}"
-        return WaterChoice(STRUCTURED, _with(robot, described, name), f"structured, own coefficients{why}")
+        return WaterChoice(STRUCTURED, _with_coefficients(robot, described, name), f"structured, own coefficients{why}")
     if name == LBM:
-        return WaterChoice(LBM, _with(robot, described, name), "lbm, the flow solver itself")
+        return WaterChoice(LBM, _with_coefficients(robot, described, name), "lbm, the flow solver itself")
     if name == NONE:
-        return WaterChoice(NONE, _with(robot, _dry(robot), name), "none, a bench in air")
+        return WaterChoice(NONE, _with_coefficients(robot, _air_table(robot), name), "none, a bench in air")
     if name == HYBRID:
         fitted = chosen(robot, FITTED)
         return WaterChoice(HYBRID, fitted.robot, f"hybrid, {fitted.said}, corrected by the flow solver")
     return _fitted(robot, name)
 
 
-def _with(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
+def _with_coefficients(robot: Robot, coefficients: dict[str, Any], name: str) -> Robot:
     """Robot with other coefficients; keeps its description's under `OWN`, to identify and restore it."""
     described = robot.water.get(OWN, robot.water)
     kept = {key: described[key] for key in ("stations",) if key in described}
@@ -148,10 +148,10 @@ def model_of(robot: Robot) -> "HydroModel | None":
     name = label(robot)
     if name in (STRUCTURED, LBM, NONE):
         return None
-    return fitted_water(_own(robot, name))
+    return fitted_water(_resolved_name(robot, name))
 
 
-def _own(robot: Robot, name: str) -> str:
+def _resolved_name(robot: Robot, name: str) -> str:
     """Name of the water for `fitted`: the description's, else the one with the robot's name. Returns other names unchanged.
 
     Raises ConfigError: this robot has no fitted water.
@@ -190,17 +190,17 @@ def fitted_for(robot: Robot) -> str | None:
 
 
 def _fitted(robot: Robot, name: str) -> WaterChoice:
-    name, described = _own(robot, name), robot.water.get(OWN, robot.water)
+    name, described = _resolved_name(robot, name), robot.water.get(OWN, robot.water)
     model, family = fitted_water(name), family_of(name)
     coefficients = model.swimmer(robot).water._asdict()
     if (share := described.get("residual")) is not None:
         if family is not None:
             raise ConfigError(
                 f"water {name!r}: [water] residual = {share} of robot {robot.name!r}, but every fish of a family draws its share"
-                f" between {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave it out, or name a fitted water"
+                f" between {family.residual[0]:g} and {family.residual[1]:g} times its fit's; leave it out, or name one fit"
             )
         coefficients["residual"] = share
-    made, prior = _with(robot, coefficients, name), water_prior(robot.links)
+    made, prior = _with_coefficients(robot, coefficients, name), water_prior(robot.links)
     guessed = {key: (value, KE if key == "ke" else value) for key, value in prior.items()}
     own = [key for key, value in described.items() if key not in NO_FORCE and value not in guessed.get(key, ())]
     if own:
@@ -214,7 +214,7 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
     return WaterChoice(FITTED, made, f"fitted ({name}: {parts}, slip {model.slip:g}{preview}){model.remark(robot)}")
 
 
-def _dry(robot: Robot) -> dict[str, Any]:
+def _air_table(robot: Robot) -> dict[str, Any]:
     """Water table with all coefficients zero, for air."""
     table = strip_forces.coefficients(robot.water, len(robot.links))._asdict()
     return {

@@ -55,7 +55,7 @@ class LinkWrench:
             All errors of the water; neither data nor memory has then changed.
         """
         if self._taken is not None:
-            self._move_on(data.time)
+            self._advance_memory(data.time)
         wrenches = self.wrenches(data)
         self._taken = data.time, *self.water.following(self.model, data)
         data.xfrc_applied[1 : len(wrenches) + 1] = wrenches
@@ -87,9 +87,9 @@ class LinkWrench:
         """
         self.apply(data)
         checked_step(self.model, data)
-        self._move_on(data.time)
+        self._advance_memory(data.time)
 
-    def _move_on(self, time: float) -> None:
+    def _advance_memory(self, time: float) -> None:
         """Advances the memory if a step was made since the last `apply`."""
         since, attached, memory = self._taken or (time, None, None)
         self._taken = None

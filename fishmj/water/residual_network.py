@@ -189,15 +189,15 @@ _sorted: tuple[Any, Any] = (None, None)  # the last net in NumPy arrays and its 
 
 def wake_step(xp, net: "Net | Halves", m: MotionFeatures, z: list, dt: float) -> list:
     """Wake states dt later, from z: lists of `WAKES`."""
-    weights, rows = _given(xp, net, m, z)
+    weights, rows = _prepared(xp, net, m, z)
     units = len(weights.bias) - WAKES
     only = weights._replace(even=weights.even[units:], odd=weights.odd[units:], bias=weights.bias[units:])
-    return _moved(xp, weights, rows, _hidden(xp, only, rows), m, dt)
+    return _next_wake(xp, weights, rows, _hidden(xp, only, rows), m, dt)
 
 
 def coefficients(xp, net: "Net | Halves", m: MotionFeatures, z: list):
     """Force coefficients g of every member, (E, 3, N, ..): F_t, F_n, couple of every link."""
-    weights, rows = _given(xp, net, m, z)
+    weights, rows = _prepared(xp, net, m, z)
     units = len(weights.bias) - WAKES
     only = weights._replace(even=weights.even[:units], odd=weights.odd[:units], bias=weights.bias[:units])
     return _bounded(xp, weights, rows, _hidden(xp, only, rows))
@@ -205,10 +205,10 @@ def coefficients(xp, net: "Net | Halves", m: MotionFeatures, z: list):
 
 def step(xp, net: "Net | Halves", m: MotionFeatures, z: list, dt: float) -> tuple[Any, list]:
     """Computes `coefficients` and `wake_step` of one instant in one pass of the input through the weights."""
-    weights, rows = _given(xp, net, m, z)
+    weights, rows = _prepared(xp, net, m, z)
     units, (plus, minus) = len(weights.bias) - WAKES, _hidden(xp, weights, rows)
     g = _bounded(xp, weights, rows, (plus[:units], minus[:units]))
-    return g, _moved(xp, weights, rows, (plus[units:], minus[units:]), m, dt)
+    return g, _next_wake(xp, weights, rows, (plus[units:], minus[units:]), m, dt)
 
 
 def load(p: Panels, rho: float, m: MotionFeatures, i: int, g) -> tuple:
@@ -253,7 +253,7 @@ def rows_of(xp, x: list, z: list) -> ParityInput:
     return ParityInput(xp.reshape(even, (len(even), -1)), xp.reshape(odd, (len(odd), -1)), even.shape[1:])
 
 
-def _given(xp, net: "Net | Halves", m: MotionFeatures, z: list) -> tuple[Halves, ParityInput]:
+def _prepared(xp, net: "Net | Halves", m: MotionFeatures, z: list) -> tuple[Halves, ParityInput]:
     """Weights and inputs of one instant; in JAX the weights get the precision of the inputs."""
     weights, rows = halves(xp, net), rows_of(xp, m.x, z)
     return weights if xp is np else Halves._make(xp.asarray(part, rows.even.dtype) for part in weights), rows
@@ -265,7 +265,7 @@ def _hidden(xp, weights: Halves, rows: ParityInput) -> tuple:
     A mirrored input differs only in the sign of its odd half: A S s = A_e e - A_o o. Both branches are therefore the sum and
     difference of the same two products, and a mirrored input exchanges them, to the bit.
     """
-    p, q = _times(xp, weights.even, rows.even) + weights.bias, _times(xp, weights.odd, rows.odd)
+    p, q = _matmul(xp, weights.even, rows.even) + weights.bias, _matmul(xp, weights.odd, rows.odd)
     return xp.tanh(p + q), xp.tanh(p - q)
 
 
@@ -277,14 +277,14 @@ def _bounded(xp, weights: Halves, rows: ParityInput, hidden: tuple):
     # potential-flow forces are such products; with them the hidden units need only represent the other forces
     squares = xp.concatenate([part[i] * part[i:] for part in (e, o) for i in range(len(part))])
     crossed = xp.reshape(e[:, None] * o, (len(e) * len(o), -1))
-    forward = _times(xp, weights.forward, plus + minus) + weights.forward_bias + _times(xp, weights.squares, squares)
-    aside = _times(xp, weights.aside, plus - minus) + _times(xp, weights.crossed, crossed)
+    forward = _matmul(xp, weights.forward, plus + minus) + weights.forward_bias + _matmul(xp, weights.squares, squares)
+    aside = _matmul(xp, weights.aside, plus - minus) + _matmul(xp, weights.crossed, crossed)
     # a smooth bound limits forces outside the data; a clip would have no gradient
     g = BOUND * xp.tanh(xp.concatenate([forward, aside], 1) / BOUND)
     return xp.reshape(g, (members, 3, links, *rows.shape))
 
 
-def _moved(xp, weights: Halves, rows: ParityInput, hidden: tuple, m: MotionFeatures, dt: float) -> list:
+def _next_wake(xp, weights: Halves, rows: ParityInput, hidden: tuple, m: MotionFeatures, dt: float) -> list:
     """Wake dt later from its hidden units."""
     plus, minus = hidden
     half = WAKES // 2
@@ -295,6 +295,6 @@ def _moved(xp, weights: Halves, rows: ParityInput, hidden: tuple, m: MotionFeatu
     return list(xp.reshape(target + (before - target) * decay, (WAKES, *rows.shape)))
 
 
-def _times(xp, a, b):
+def _matmul(xp, a, b):
     """Product a @ b in full precision; by default JAX on a GPU rounds float32 operands to a ten-bit mantissa (TF32)."""
     return a @ b if xp is np else xp.matmul(a, b, precision=PRECISION)

@@ -175,7 +175,7 @@ class Hybrid:
             console.warn(f"hybrid: the box {self.water.domain} is a preview: the robot's water was fitted to another box")
         self._oracle, self._replay = oracle, replay or Replay(robot)
         self.size = robot.timing.bus_dt
-        self.off, self._told = "", set[str]()
+        self.off, self._correction_row = "", set[str]()
         self._thread: threading.Thread | None = None
         self._over = False
         self.reset()
@@ -203,8 +203,8 @@ class Hybrid:
             self.rows = [[] for _ in self.states]
         self._last = tick
         self._collect(tick)
-        self._watch(fish, params, current, tick)
-        self._collect(tick)  # again, in case `_watch` has waited for a segment
+        self._record(fish, params, current, tick)
+        self._collect(tick)  # again, in case `_record` has waited for a segment
         return self._corrected(params, current, tick)
 
     def close(self) -> None:
@@ -220,11 +220,17 @@ class Hybrid:
         base = {"domain": self.water.domain, "slip": self.water.slip, **boundary_entry(self.water.sharpness)}
         base |= {"every": o.every, "lead": o.lead, "span": o.span, "own": o.own}
         share = covered / max((self._last + 1) * self.size, self.size)
-        return {**base, "segments": self.rows[fish] if self.rows else [], "solver_share": share, **_told(state), "off": self.off}
+        return {
+            **base,
+            "segments": self.rows[fish] if self.rows else [],
+            "solver_share": share,
+            **_correction_row(state),
+            "off": self.off,
+        }
 
     # ---- the record ----
 
-    def _watch(self, fish: FishState, params: FishParams, current: Current, tick: int) -> None:
+    def _record(self, fish: FishState, params: FishParams, current: Current, tick: int) -> None:
         """Records states and commands during a segment, and passes it to the worker at its end."""
         o = self.options
         lead, span, every, first = (round(s / self.size) for s in (o.lead, o.span, o.every, o.first))
@@ -237,7 +243,7 @@ class Hybrid:
                     self._hand_over(now.segments(self.kind))
         if tick >= first and (tick - first) % every == 0 and not self.off:
             if self._thread is not None and self._thread.is_alive():
-                self._say("slow", "the solver still works when the next segment is due: that segment is skipped")
+                self._warn_once("slow", "the solver still works when the next segment is due: that segment is skipped")
             else:
                 self._recording = _Recording(tick, params, current)
         now = self._recording
@@ -249,22 +255,22 @@ class Hybrid:
     def _hand_over(self, segments: list[HybridSegment]) -> None:
         idle = [self.options.every if rows else 0.0 for rows in self.rows]
         job = self._job = _Job(segments, list(self.states), idle)
-        arguments = (self._better, self._replay, self.options.own)
+        arguments = (self._reference_water, self._replay, self.options.own)
         if self.options.wait:
             job.run(*arguments)
             return
         if self._thread is None:
-            atexit.register(self._leave)
+            atexit.register(self._stop_at_exit)
         self._thread = threading.Thread(target=job.run, args=arguments, daemon=True, name="fishmj-hybrid")
         self._thread.start()
 
-    def _leave(self) -> None:
+    def _stop_at_exit(self) -> None:
         """Stops the solver after its present tick at the end of the program, before the interpreter shuts down."""
         self._over = True
         if self._thread is not None:
             self._thread.join(LEAVING)
 
-    def _better(self) -> Oracle:
+    def _reference_water(self) -> Oracle:
         """Reference water, made at the first call."""
         if self._oracle is None:
             from fishmj.engines.hybrid.tanks import Tanks
@@ -285,16 +291,18 @@ class Hybrid:
         late = not self.options.wait and job.wall > self.options.patience
         if job.failed:
             self.off = job.failed
-            self._say("off", f"no further corrections, the fish swims on in the present water: {job.failed}")
+            self._warn_once("off", f"no further corrections, the fish swims on in the present water: {job.failed}")
         elif late:
-            self._say("late", f"a segment took {job.wall:.0f} s, more than the allowed {self.options.patience:g} s: dropped")
+            self._warn_once(
+                "late", f"a segment took {job.wall:.0f} s, more than the allowed {self.options.patience:g} s: dropped"
+            )
         for segment, state, row in [] if late else job.found:
             if "failed" in row:
-                self._say("failed", f"a segment failed: {row['failed']}")
+                self._warn_once("failed", f"a segment failed: {row['failed']}")
             else:
                 self.states[segment.fish] = state
             times = {"t": segment.tick * self.size, "applied": tick * self.size}
-            self.rows[segment.fish].append({**times, **row, "wall_s": job.wall, **_told(state)})
+            self.rows[segment.fish].append({**times, **row, "wall_s": job.wall, **_correction_row(state)})
 
     def _corrected(self, params: FishParams, current: Current, tick: int) -> tuple[FishParams, Current]:
         if all(not state.unknowns.any() for state in self.states):
@@ -303,14 +311,14 @@ class Hybrid:
         water = online_correction.applied_to_rows(params.water, factors)
         return params._replace(water=water), shifted(current, stream.T, np.full(len(water), tick))
 
-    def _say(self, what: str, text: str) -> None:
+    def _warn_once(self, what: str, text: str) -> None:
         """Warns once for each kind `what`."""
-        if what not in self._told:
-            self._told.add(what)
+        if what not in self._correction_row:
+            self._correction_row.add(what)
             console.warn(f"hybrid: {text}")
 
 
-def _told(state: Correction) -> dict:
+def _correction_row(state: Correction) -> dict:
     """Factors and stream of a correction with standard deviations, for factors those of their logarithms."""
     sd = state.sd
     known = {"factors": state.factors, "factors_sd": sd[:FACTORS], "stream": state.stream, "stream_sd": sd[FACTORS:]}

@@ -1,11 +1,11 @@
-"""Benchmarks: each figure has a baseline that runs alternately with it, so that a busy machine slows both.
+"""Benchmarks: each runs alternately with a baseline, so that a busy machine slows both.
 
 A benchmark is a function that prepares and returns a `BenchmarkWork`; other modules add their own:
 
     @benchmark("environment", "control steps/s", baseline=bare_mujoco)
     def environment(quick: bool) -> BenchmarkWork: ...
 
-`BenchmarkWork.run()` does `BenchmarkWork.amount` units of work. Rounds go A B A B ...; a figure is the median over rounds.
+`BenchmarkWork.run()` does `BenchmarkWork.amount` units of work. Rounds alternate, A B A B ...; a result is their median.
 """
 
 import platform
@@ -38,7 +38,7 @@ class Benchmark(NamedTuple):
     unit: str
     prepare: Prepare
     baseline: Prepare | None
-    summary: str = ""  # a line for the list
+    summary: str = ""  # line for --list
 
 
 REGISTRY: dict[str, Benchmark] = {}
@@ -89,13 +89,13 @@ def pick(names: list[str]) -> list[Benchmark]:
 
 
 def machine(where: str = "cpu") -> str:
-    """One line about the machine of a figure: processor, cores, device, versions."""
+    """Description of the machine in one line: processor, cores, device, versions."""
     parts = [processor(), f"{usable_cores()} cores", where, f"Python {platform.python_version()}"]
     return ", ".join([*parts, *(f"{name} {found}" for name in ("mujoco", "jax") if (found := version(name)))])
 
 
 def rate(work: BenchmarkWork, clock: Callable[[], float]) -> float:
-    """Units a second of one run."""
+    """Units per second of one run."""
     start = clock()
     work.run()
     return work.amount / max(clock() - start, 1e-12)

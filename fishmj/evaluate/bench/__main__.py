@@ -1,4 +1,4 @@
-"""Throughput of this machine, one JSON line a benchmark, each beside its baseline."""
+"""Throughput of this machine, one JSON line for each benchmark, with its baseline."""
 
 import json
 import traceback
@@ -9,7 +9,7 @@ from fishmj.water import choice
 
 
 def _measured(bench: Benchmark, quick: bool) -> dict:
-    """One result; a fault in one benchmark is reported and does not stop the others."""
+    """Result of one benchmark; an error is reported and does not stop the others."""
     try:
         return measure(bench, rounds=3 if quick else 7, quick=quick)
     except Exception as error:  # noqa: BLE001
@@ -18,26 +18,26 @@ def _measured(bench: Benchmark, quick: bool) -> dict:
 
 
 def _words(todo: list[Benchmark], done: int) -> str:
-    """Text of an interrupted run."""
+    """Text for an interrupted run."""
     left = " ".join(bench.name for bench in todo[done:])
     return f"the lines above are {done} of {len(todo)} benchmarks; go on with: fishmj bench {left}"
 
 
 EXAMPLES = """examples:
-  fishmj bench --list                            what there is
-  fishmj bench engine_compiled --quick           does it run at all
+  fishmj bench --list                            list the benchmarks
+  fishmj bench engine_compiled --quick           check that it runs
 """
 
 
 def options() -> console.Parser:
     """Parser of the verb `bench`."""
-    summary = "Throughput of this machine, one JSON line a benchmark, each beside its baseline."
+    summary = "Throughput of this machine, one JSON line for each benchmark, with its baseline."
     parser = console.parser("bench", summary, examples=EXAMPLES)
     named = "of --list; default: all"
     parser.add_argument("names", type=console.text, nargs="*", action=console.Distinct, metavar="NAME", help=named)
     parser.add_argument("--list", action="store_true", help="name the benchmarks and stop")
-    parser.add_argument("--water", type=console.text, help=f"of the engines and the environment. {choice.HELP}")
-    parser.add_argument("--quick", action="store_true", help="small batches, three rounds: does it run at all")
+    parser.add_argument("--water", type=console.text, help=f"for engines and environment. {choice.HELP}")
+    parser.add_argument("--quick", action="store_true", help="small batches, three rounds, to check that it runs")
     return parser
 
 

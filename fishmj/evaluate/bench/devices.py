@@ -1,6 +1,6 @@
-"""Tanks on several GPUs of one host compared with tanks on one: growth of the total steps with the number of GPUs.
+"""Weak scaling of the flow solver over the GPUs of one host.
 
-    fishmj bench oracle_devices_2 oracle_devices_4 oracle_devices_8     steps a second on so many GPUs, on one, and their ratio
+    fishmj bench oracle_devices_2 oracle_devices_4 oracle_devices_8     steps per second on 2, 4, 8 GPUs, on one, and their ratio
 
 As in `--device cuda:all`, every GPU has a process of its own with enough tanks to keep it busy; one host serves all of them.
 """
@@ -20,40 +20,40 @@ PATIENCE = 5.0  # s that a process has to end
 
 
 def scaled(devices: Sequence[str], quick: bool = False) -> BenchmarkWork:
-    """Fish at rest in tanks on each of these devices at the same time, steps of all tanks added up.
+    """Steps of fish at rest in tanks on all of these devices at the same time, summed over tanks.
 
     Raises RuntimeError: a process failed to make its tanks; with its traceback.
     """
-    side = _Side(devices, quick)
+    side = _DeviceProcesses(devices, quick)
     each = TANKS if devices[0].startswith("cuda") else TANKS_CPU
     return BenchmarkWork(side.run, side.amount, f"{' '.join(devices)}, tanks: {len(devices)} x {each}")
 
 
-class _Side:
+class _DeviceProcesses:
     """Processes, one for each device with its tanks, that wait for commands."""
 
     def __init__(self, devices: Sequence[str], quick: bool):
         with processes.sigint_blocked():
             side = [processes.spawn_worker(_tanks, device, (n, len(devices)), quick) for n, device in enumerate(devices)]
         self.pipes, begun = [pipe for pipe, _ in side], [process for _, process in side]
-        weakref.finalize(self, _end, begun)
-        self.amount = sum(self._heard())
+        weakref.finalize(self, _stop_processes, begun)
+        self.amount = sum(self._replies())
 
     def run(self) -> None:
-        """Does so many ticks of all tanks."""
+        """Does the ticks of one run in all tanks."""
         for pipe in self.pipes:
             pipe.send(True)
-        self._heard()
+        self._replies()
 
-    def _heard(self) -> list[float]:
-        """Answers of all processes. Raises RuntimeError with the traceback of one that failed."""
+    def _replies(self) -> list[float]:
+        """Replies of all processes. Raises RuntimeError with the traceback of one that failed."""
         answers: list[Any] = [pipe.recv() for pipe in self.pipes]
         if wrong := [text for text in answers if isinstance(text, str)]:
             raise RuntimeError(wrong[0])
         return answers
 
 
-def _end(begun: list) -> None:
+def _stop_processes(begun: list) -> None:
     for process in begun:
         process.kill()
     for process in begun:
@@ -61,7 +61,7 @@ def _end(begun: list) -> None:
 
 
 def _tanks(pipe, device: str, share: tuple[int, int], quick: bool) -> None:
-    """Main function of the process of one device: sends the number of steps of a run, then does one run for each command."""
+    """Main function of a device's process: sends the number of steps of a run, then does a run for each command."""
     from fishmj.lbm_oracle.fluid.device import device_of
     from fishmj.lbm_oracle.run.domain import preset
 
@@ -76,12 +76,12 @@ def _tanks(pipe, device: str, share: tuple[int, int], quick: bool) -> None:
         while pipe.recv():
             work.run()
             pipe.send(work.amount)
-    except Exception:  # noqa: BLE001  the one that waits must hear of it
+    except Exception:  # noqa: BLE001  the waiting process must be told
         pipe.send(f"on device {device}:\n{traceback.format_exc()}")
 
 
 def gpus(count: int) -> tuple[str, ...]:
-    """The first so many GPUs. Raises NotHere: there are fewer."""
+    """First `count` GPUs. Raises NotHere: there are fewer."""
     from fishmj.lbm_oracle.fluid.device import devices_of
 
     try:
@@ -94,7 +94,7 @@ def gpus(count: int) -> tuple[str, ...]:
 
 
 def on_gpus(count: int, quick: bool) -> BenchmarkWork:
-    """Tanks on the first `count` GPUs, on a single one in a process of its own too."""
+    """Tanks on the first `count` GPUs, each in a process of its own."""
     return scaled(gpus(count), quick)
 
 

@@ -1,4 +1,4 @@
-"""Engines in control steps (0.2 s) a second: randomised fish, command latency, turbulent flow and water on.
+"""Throughput of the engines in control steps (0.2 s) per second, with randomised fish, latency, turbulence and water.
 
 The baseline of each is bare MuJoCo on one core: `mj_step` of the same robot without water, randomisation or latency,
 physics steps counted as control steps.
@@ -17,7 +17,7 @@ WATER: list[str | None] = [None]  # of the engines and the environment: `fishmj 
 
 
 def swimming():
-    """The shipped robot in the water that was asked for."""
+    """Shipped robot in the water of --water."""
     from fishmj.mjcf import load_robot
 
     return in_water(load_robot("fish"), WATER[0], who="bench")
@@ -82,9 +82,9 @@ def _engine(name: str, fish: int, chunks: int) -> BenchmarkWork:
 
 
 def finite_work(run, what: str, amount: float, where: str = "cpu") -> BenchmarkWork:
-    """Warmed-up piece of work; refused if the state of the fish is not finite."""
+    """Runs the work once as a warm-up. Raises NotHere if the state of the fish is not finite."""
     if not np.all(np.isfinite(run())):
-        raise NotHere(f"{what} left the finite numbers: its rate would mean nothing")
+        raise NotHere(f"the state of {what} is not finite, so its rate means nothing")
     return BenchmarkWork(run, amount, where)
 
 
@@ -134,7 +134,7 @@ def _on_gpu() -> bool:
 
 
 def _sized(name: str, gpu: int, cpu: int, fast: int, chunks: int, few: int, quick: bool) -> BenchmarkWork:
-    """`_engine` with so many fish on a GPU, on a CPU and there with --quick, and so many control steps, or few with --quick."""
+    """`_engine` with the fish count for a GPU, a CPU, or --quick (fast), and `chunks` control steps, or `few` with --quick."""
     return _engine(name, gpu if gpu and _on_gpu() else fast if quick else cpu, few if quick else chunks)
 
 

@@ -1,6 +1,6 @@
-"""Cost of a physics step for each coupling of the water to the fish, with and without the learnt residual.
+"""Cost of a physics step for each method that couples water and fish, with and without the learnt residual.
 
-Each with the residual is compared with the strips alone, MuJoCo's own fluid with a bare `mj_step`; the table is at the end.
+Baselines: the strips alone for the residual, a plain `mj_step` for MuJoCo's own fluid; the table is at the end.
 Nominal fish, one gait, still water; `engine_*` measure engines with randomised fish, latency and turbulence, strips alone.
 """
 
@@ -19,13 +19,13 @@ from fishmj.evaluate.bench.engines import finite_work, on_device
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
 FISH_COMPILED = 4096
-MEMBERS, HIDDEN = 5, 16  # of the residual that the recipe learns
+MEMBERS, HIDDEN = 5, 16  # ensemble members and hidden units of the default residual
 
 
 def robot_of(learnt: bool, made_up: bool = True):
-    """The shipped fish in the shipped fitted water, without its residual, or with it or with one of the usual shape.
+    """Shipped fish in the shipped fitted water, without its residual, with it, or with a made-up one of the usual shape.
 
-    The weights of that one are made up and small: a step costs the same whatever they are, and the shipped fit may have none.
+    The made-up weights are small; the cost does not depend on them, and the shipped fit may have no residual.
     """
     from fishmj.engines import in_water
     from fishmj.mjcf import load_robot

@@ -1,7 +1,7 @@
-"""The oracle: the fluid compared with the limit of the device's memory, and fish in it compared with the fluid alone.
+"""Throughput of the flow solver: the fluid relative to memory bandwidth, and fish in it relative to the fluid alone.
 
-A lattice update reads and writes nineteen populations, 152 bytes in single precision. The baseline copies that many bytes and
-counts them as updates, so the ratio is the part of the copy bandwidth that the step uses for updates.
+A lattice update reads and writes nineteen populations, 152 bytes in single precision. The baseline copies as many bytes and
+counts them as updates, so the ratio is the achieved share of the copy bandwidth.
 """
 
 import os
@@ -54,7 +54,7 @@ def _updates(quick: bool, **options) -> BenchmarkWork:
 
 
 def _stepped(water, steps: int, device, unit: float) -> BenchmarkWork:
-    """Steps of the water, once before the clock starts; `unit` of work each."""
+    """Steps of the water, after one warm-up run; `unit` of work each."""
     import warp as wp
 
     def run():
@@ -115,9 +115,9 @@ def _emptied(domain, device, steps: int, unit: float = 1.0) -> BenchmarkWork:
 
 
 def _resting(domain, device, ticks: int, tanks: int, unit: float = 1.0) -> BenchmarkWork:
-    """Fish at rest in still water with their servos on, each at its own pace like trials; `unit` of work for each step of one.
+    """Fish at rest in still water with servos on, in independent tanks as in trials; `unit` of work for each step of a tank.
 
-    Raises SimDiverged: a tank stopped; its steps would have been counted without having been done.
+    Raises SimDiverged: a tank stopped, so that its steps must not be counted.
     """
     import numpy as np
     import warp as wp
@@ -228,7 +228,7 @@ def _one_core(quick: bool, make, threads: int) -> BenchmarkWork:
 
 
 def plain_kernel(quick: bool) -> BenchmarkWork:
-    """The same a cell at a time, by the kernel that the others are tested against."""
+    """The same by the reference kernel, one cell at a time."""
     from fishmj.lbm_oracle.fluid.step import stream_collide
 
     return _one_core(quick, stream_collide, LAPTOP_SHAPE[1] * LAPTOP_SHAPE[2])
@@ -244,7 +244,7 @@ def oracle_core_cpu(quick: bool) -> BenchmarkWork:
 
 # beside another solver ------------------------------------------------------------------------------------------------
 
-PEER = ("xlb==0.3.1", "warp-lang==1.10.0")  # the last Warp that this XLB was tried with
+PEER = ("xlb==0.3.1", "warp-lang==1.10.0")  # the newest Warp tested with this XLB
 PEER_SHAPE, PEER_STEPS, PEER_QUICK = LAPTOP_SHAPE, 20, 4
 PEER_WAIT = 300.0  # s; it compiles when it starts
 
@@ -292,9 +292,9 @@ class _StepRequest:
         try:
             self.worker.stdin.write(f"{self.steps}\n")
             self.worker.stdin.flush()
-        except BrokenPipeError:  # read below why
+        except BrokenPipeError:  # the reason is read below
             pass
-        for line in self.worker.stdout:  # XLB may greet first
+        for line in self.worker.stdout:  # XLB may print other lines first
             if line.strip() == "done":
                 return
         self.said.seek(0)

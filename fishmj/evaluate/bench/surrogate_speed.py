@@ -1,7 +1,7 @@
-"""Speed of the fitted water relative to the flow solver: simulated seconds of swimming in a second, on the same device.
+"""Speed of the fitted water relative to the flow solver: simulated seconds per second on the same device.
 
-The baseline of each is the solver's coupled fish in one tank, that of `oracle_tank`. The seconds of all fish of a batch are
-added up. Nominal fish, one gait, still water.
+The baseline is the solver's coupled fish in one tank, as in `oracle_tank`. Seconds are summed over the batch. Nominal fish, one
+gait, still water.
 """
 
 from functools import partial
@@ -25,7 +25,7 @@ def coupled_tank(quick: bool) -> BenchmarkWork:
 
 
 def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **options) -> BenchmarkWork:
-    """So many fish through `CHUNKS` control steps by an engine with these options, in the shipped water."""
+    """Swims `fish` fish for `CHUNKS` control steps by an engine with these options, in the shipped water."""
     import jax
     from jax import lax
 

@@ -1,7 +1,7 @@
-"""The paper's experiments, each remade by one command: `fishmj experiments NAME`.
+"""Reproduction of the paper's experiments, each by one command: `fishmj experiments NAME`.
 
-One file makes one experiment (`EXPERIMENT`, a `paper_experiment.PaperExperiment`): parts that run and are kept one by one, and
-findings that are made from the kept rows alone.
+Each file defines one experiment (`EXPERIMENT`, a `paper_experiment.PaperExperiment`): parts, whose rows are saved one by one, and
+findings, which are computed from the saved rows.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Remake the paper's experiments: one report, what the paper says beside what is measured here."""
+"""Reproduce the paper's experiments: one report with the paper's values and those measured here."""
 
 import time
 from dataclasses import replace
@@ -20,17 +20,17 @@ from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 
 ALL, RATE = "all", 1000.0  # simulated seconds in one second of CPU, without the flow solver; measured
-TRAINED = ("stages", "ablations")  # that train
+TRAINED = ("stages", "ablations")  # experiments that train policies
 OUT = "runs/experiments"
 EXAMPLES = f"""examples:
-  fishmj experiments                              the list, with the cost of each
+  fishmj experiments                              list the experiments with their cost
   fishmj experiments approach --quick             one experiment, few trials
   fishmj experiments all --policy runs/quick-ppo-0 --out runs/mine
   fishmj experiments ablations --trained runs/ablation      policies that fishmj train made
   fishmj experiments approach comparison --water lbm --reference --tanks 24 --device cuda
 
-Rows are kept in --out as they are made: the same command continues after Ctrl-C, another policy,
-water, seed or size needs another one. Default --out {OUT}, with --quick {OUT}-quick.
+Finished rows are saved in --out, and the same command continues after Ctrl-C. Another policy, water,
+seed or size needs another --out. Default --out {OUT}, with --quick {OUT}-quick.
 """
 
 
@@ -38,24 +38,22 @@ def options() -> console.Parser:
     """Parser of the verb `experiments`."""
     parser = console.parser("experiments", f"{__doc__} The paper: {PAPER}.", examples=EXAMPLES)
     add = parser.add_argument
-    names = f"{', '.join(MODULES)}, or {ALL}; none: the list"
+    names = f"{', '.join(MODULES)}, or {ALL}; without a name: the list"
     add("names", type=console.OneOf((*MODULES, ALL)), nargs="*", action=console.Distinct, metavar="NAME", help=names)
     add("--quick", action="store_true", help="fewer trials, short trainings: a preview of every part")
     policy = f"{', '.join(control.shipped_policies())}, a policy file or folder of a training; default {BEST}"
     add("--policy", type=console.text, default=BEST, help=policy)
-    add("--robot", type=console.text, default="fish", help="shipped name or TOML file; of another fish name a --policy")
-    solved = "lbm: the flow solver itself, hours without a GPU"
+    add("--robot", type=console.text, default="fish", help="shipped name or TOML file; another fish needs a --policy")
+    solved = "lbm: the flow solver itself, which takes hours without a GPU"
     add("--water", type=console.text, help=f"{choice.HELP}; {solved}")
     reference_option(add, PLAIN.said)
-    place = "of --water lbm: auto, cpu, cuda, cuda:N or cuda:all; default auto"
+    place = "device of --water lbm: auto, cpu, cuda, cuda:N or cuda:all; default auto"
     add("--device", type=console.devices, default="auto", help=place)
-    add("--tanks", type=console.whole(1, 256), default=1, help="trials of --water lbm side by side on each device; default 1")
-    trained = (
-        "folder of policies that ablations judges in place of its own trainings: complete, no-self-velocity, .. (default: none)"
-    )
+    add("--tanks", type=console.whole(1, 256), default=1, help="parallel trials of --water lbm on each device; default 1")
+    trained = "folder of policies for ablations, in place of new trainings: complete, no-self-velocity, .. (default: none)"
     add("--trained", type=console.path, metavar="DIR", help=trained)
-    add("--seed", type=console.SEED, default=0, help="of all draws")
-    folder = f"of rows and report.html; default {OUT}, with --quick {OUT}-quick"
+    add("--seed", type=console.SEED, default=0, help="seed of all draws")
+    folder = f"folder of rows and report.html; default {OUT}, with --quick {OUT}-quick"
     add("--out", type=console.out_folder, metavar="DIR", help=folder)
     return parser
 
@@ -107,7 +105,7 @@ def setup_of(args) -> ExperimentSetup:
     water = choice.chosen(load_robot(args.robot), args.water).within((*choice.SELF_MADE, choice.LBM), "experiments")
     solved = water.kind == choice.LBM
     if args.reference and not solved:
-        raise ConfigError("experiments: --reference: of --water lbm only; leave it out, or add it")
+        raise ConfigError("experiments: --reference: needs --water lbm; add it, or leave --reference out")
     solver = asked_for("experiments", args.reference, None, None) if solved else None
     common = {"robot": water.robot, "policy": args.policy, "seed": args.seed, "quick": args.quick, "out": Path(args.out)}
     common |= {"described": args.robot}
@@ -115,7 +113,7 @@ def setup_of(args) -> ExperimentSetup:
 
 
 def agree(setup: ExperimentSetup, seconds: float) -> None:
-    """Asks before the flow solver takes a CPU too long for so many seconds of trials. Raises TooMuch."""
+    """Asks the user if the flow solver would take too long on a CPU for `seconds` of trials. Raises TooMuch."""
     if setup.solver is not None:
         from fishmj.lbm_oracle.run import solver_cost
 
@@ -156,7 +154,7 @@ def run_parts(setup: ExperimentSetup, parts: list[tuple[str, ExperimentPart]], k
     """Runs the parts whose rows are not kept, with one progress line in simulated seconds."""
     waiting = [(name, part) for name, part in parts if part.key not in kept[name].rows]
     if there := len(parts) - len(waiting):
-        console.warn(f"{there} of {len(parts)} parts were run before under the same conditions: taken from {setup.out}")
+        console.warn(f"{there} of {len(parts)} parts were run before under the same conditions; reusing {setup.out}")
     total, before = sum(part.seconds for _, part in waiting), 0.0
     with console.Progress(total, "experiments", "sim s") as bar:
         bar.stage("engines compile in the first step")
@@ -174,7 +172,7 @@ def _tell(bar: console.Progress, part: str, before: float, done: float) -> None:
 
 
 def finish(setup: ExperimentSetup, one: PaperExperiment, kept: ExperimentRows, asked: bool) -> report.FinishedExperiment | None:
-    """Findings of an experiment, asked for now or finished before; None if rows are missing."""
+    """Findings of an experiment, if it was requested or finished before; None if rows are missing."""
     if not asked and not kept.rows:
         return None
     keys = [part.key for part in one.parts(setup)]

@@ -9,7 +9,7 @@ from fishmj.evaluate.experiments.paper_experiment import ExperimentFindings, Exp
 from fishmj.evaluate.plots import FAINT, INK, STYLE
 
 SIDES = {"downstream": 225, "upstream": 45}  # line of sight, deg: right rear, left front
-HOLD = 20.0  # s from which on the fish has turned upstream
+HOLD = 20.0  # s, start of the hold phase, when the fish has turned upstream
 COLOURS = {"downstream": BLUE, "upstream": VERMILION}
 
 

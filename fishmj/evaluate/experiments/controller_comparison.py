@@ -23,11 +23,11 @@ from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, LOGARITHMIC, RADAR, STYLE, plain_ticks, polar, radar_figure
 from fishmj.evaluate.run_trials import OF_A_TRIAL
 
-KEYS = {"rmse_after_arrival": "m", "rmse_last20": "m", "approach_time": "s", "power": "W"}  # that are tested; less is better
+KEYS = {"rmse_after_arrival": "m", "rmse_last20": "m", "approach_time": "s", "power": "W"}  # tested metrics; less is better
 DECIDING = {"rmse_after_arrival": "RMSE after arrival", "rmse_last20": "RMSE of the last 20 s"}  # of "better": the first decides
 PAPER = {"koopman": "arrival_koopman", "mpc": "arrival_mpc", "rl": "arrival_rl"}  # name -> key of the paper's count
-BOUND, PASSIVE = "privileged", "drift"  # told the flow: a bound; joints at zero: neither is a rival
-ON_RADAR = ("adrc-c1", "koopman", "mpc")  # of the paper, beside the policy and the best rival
+BOUND, PASSIVE = "privileged", "drift"  # upper bound with the true flow; joints at zero; neither is a rival
+ON_RADAR = ("adrc-c1", "koopman", "mpc")  # the paper's controllers in the radar plots
 SIGNIFICANT = 0.05
 SAMPLE, UNTIL, SECTOR = 0.5, 30.0, 10  # s between samples of a curve, s of it, deg of a histogram
 SIDES = {"target upstream": 1, "target downstream": -1}
@@ -69,7 +69,7 @@ def comparison_row(result: Result) -> Row:
 
 
 def paper_count(name: str, ours: bool = False) -> str:
-    """Arrivals of a controller, or of the paper's policy, in the paper, as text; empty for one that it does not have."""
+    """Arrivals in the paper of a controller, or of its policy, as text; empty if the paper does not have it."""
     if ours:
         return f"{constant('results', 'arrival_ours')} of 72"
     if name.startswith("adrc-c"):
@@ -78,7 +78,7 @@ def paper_count(name: str, ours: bool = False) -> str:
 
 
 def rivals_of(rows: dict[str, Row]) -> list[str]:
-    """Names of the controllers with the paper's information, without the first, which is compared with them."""
+    """Names of the controllers with the same observations as the first, which is compared with them."""
     return [name for name in list(rows)[1:] if name not in (BOUND, PASSIVE)]
 
 
@@ -115,9 +115,9 @@ def findings(setup: ExperimentSetup, rows: dict[str, Row]) -> ExperimentFindings
     lacks = [name for name in PAPER if name not in rows]
     notes = [f"No controller of this name here, so not compared: {', '.join(lacks)}."] if lacks else []
     notes.append(
-        f"{leader} is better than a rival if its figure is less and the paired bootstrap tells them apart, with p below "
+        f"{leader} is better than a rival if its value is less and the difference is significant: paired bootstrap, p below "
         f"{SIGNIFICANT:g} after Holm over the {len(rivals_of(rows))} rivals. RMSE after arrival decides. Rivals have the same "
-        f"observations; {BOUND} is told the flow, {PASSIVE} does nothing."
+        f"observations; {BOUND} has the true flow, {PASSIVE} does nothing."
     )
     tables = [("Controllers", listed(rows)), *((f"{key} [{KEYS[key]}], controller minus {leader}", tests[key]) for key in KEYS)]
     shown = [
@@ -147,7 +147,7 @@ def listed(rows: dict[str, Row]) -> list[dict[str, Any]]:
 def gap_closed(rows: dict[str, Row], key: str) -> PaperFinding:
     """Share of the gap between the best rival and the bound that the policy closes, by one figure; paired bootstrap.
 
-    None where the rival cannot be told from the bound: a share of a gap of about zero means nothing.
+    No share is given if rival and bound do not differ significantly, because a share of a gap near zero means nothing.
     """
     leader, best = next(iter(rows)), best_rival(rows, key)
     three = [read(rows[name]["figures"][key]) for name in (best, leader, BOUND)]

@@ -9,7 +9,7 @@ from fishmj.evaluate import metrics
 from fishmj.evaluate.experiments.paper_experiment import PaperFinding, Row
 from fishmj.evaluate.metrics import Result, figures
 
-EVERY = 0.2  # s between two kept samples of a time series
+EVERY = 0.2  # s between two saved samples of a time series
 
 
 def figures_row(result: Result) -> Row:
@@ -55,7 +55,7 @@ def read(values: Any) -> np.ndarray:
 
 
 def compared(what: str, paper: str, values: Any, unit: str = "", *, digits: int = 3, median: bool = False) -> PaperFinding:
-    """Finding from the figures of single trials: mean, or median, with its interval. Tells how many have a figure, if not all."""
+    """Finding from values of single trials: mean, or median, with its interval, and the number of values if some are missing."""
     given = read(values).ravel()
     found = metrics.estimate("approach_time" if median else "", given)
     if not found.n:
@@ -73,7 +73,7 @@ def error_bars(samples: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def counted(what: str, paper: str, flags: Sequence[Any] | np.ndarray) -> PaperFinding:
-    """Finding of the number of trials for which a flag holds, with Wilson's interval of the share."""
+    """Finding of the number of trials with a true flag, with Wilson's interval of their share."""
     from scipy.stats import binomtest
 
     some = read(flags).ravel()

@@ -1,4 +1,4 @@
-"""Kept rows of an experiment, one JSON line each: an interrupted command continues with the parts that are not there."""
+"""Saved rows of an experiment, one JSON line each, so that an interrupted command continues with the missing parts."""
 
 import json
 from hashlib import sha256
@@ -12,7 +12,7 @@ from fishmj.water.water_identity import water_identity
 
 
 def options_of(setup: ExperimentSetup) -> dict[str, Any]:
-    """Choices that all rows and the report of a folder share: policy, robot, water, seed, size."""
+    """Options that all rows and the report of a folder share: policy, robot, water, seed, size."""
     policy = {"name": setup.leader, "sha256": getattr(setup.brain, "sha256", "")}
     robot = sha256(f"{setup.robot!r} {setup.robot.effects!r}".encode()).hexdigest()[:16]
     water = water_identity(setup.robot) if setup.solver is None else {"name": "lbm", "solver": setup.solver.said}
@@ -20,7 +20,7 @@ def options_of(setup: ExperimentSetup) -> dict[str, Any]:
 
 
 def identity_of(setup: ExperimentSetup) -> str:
-    """Sixteen characters that change with everything that would change a row: the options, the solver's water, the code."""
+    """Hash (16 characters) of everything on which a row depends: options, the solver's water, the code."""
     what = [options_of(setup), water_identity(setup.robot), repr(setup.solver), package_sha256()]
     return store.json_sha256(what)[:16]
 
@@ -28,7 +28,7 @@ def identity_of(setup: ExperimentSetup) -> str:
 class ExperimentRows:
     """Rows of one experiment in `<folder>/<name>.jsonl`, rewritten as a whole with each new row.
 
-    Lines of another identity, and lines that are not whole, are not used; the first new row drops them.
+    Lines with another identity and incomplete lines are ignored, and removed by the first new row.
     """
 
     def __init__(self, folder: Path, name: str, identity: str):

@@ -19,12 +19,12 @@ from fishmj.tasks import station_hold as task
 from fishmj.train.settings import Settings, as_dict, change, of_run, preset
 from fishmj.water import choice
 
-FASTER = 6.0  # simulated seconds of a training that cost as much as one of a trial; measured on two cores
+FASTER = 6.0  # simulated seconds of training that cost as much as one second of a trial; measured on two cores
 QUICK: dict[str, Any] = {"steps": 1_500_000, "algorithm": {"envs": 256}}  # of --quick
 
 
 def settings_of(setup: ExperimentSetup, **changes: Any) -> Settings:
-    """Settings of a training: those of the policy's own run if it is a folder, else the preset quick; in this fitted water."""
+    """Settings of a training: those of the policy's run if it is a folder, else of the preset quick; in this fitted water."""
     run = of_run(Path(setup.policy)) if Path(setup.policy).is_dir() else None
     water = choice.label(setup.robot) if setup.solver is None else "auto"
     made = change(run or preset("quick"), robot=setup.described, water=water, **setup.of({}, QUICK))
@@ -37,7 +37,7 @@ def sim_seconds(settings: Settings) -> float:
 
 
 def train_stages(setup: ExperimentSetup, name: str, settings: Settings, stages: tuple[int, ...]) -> tuple[Path, list[Path]]:
-    """Trains one policy and keeps it at some numbers of control steps, the last one at the end.
+    """Trains one policy and saves it at given numbers of control steps, and at the end.
 
     Returns:
         folder of the run, policy files of the stages.
@@ -73,7 +73,7 @@ def learning_curve(folder: Path, points: int = 100) -> dict[str, list[float]]:
 
 
 def returns(result: Result) -> np.ndarray:
-    """Sum of the paper's reward over an episode (n,); a trial that leaves the domain gets no more."""
+    """Return of each episode (n,), by the paper's reward; a trial gets no reward after leaving the domain."""
     ticks = round(result.robot.timing.control_dt / result.robot.timing.bus_dt)
     steps = min(task.control_steps(30.0, result.robot), (len(result.t) - 1) // ticks)
     total = np.zeros(len(result.trials))
@@ -85,5 +85,5 @@ def returns(result: Result) -> np.ndarray:
 
 
 def in_other_water(setup: ExperimentSetup, water: str | None) -> ExperimentSetup:
-    """The same setting in a water without the flow solver; None: the robot's default."""
+    """Same setting in another water, without the flow solver; None: the robot's default."""
     return replace(setup, robot=choice.in_water(setup.robot, water), solver=None)

@@ -1,4 +1,4 @@
-"""Report of the paper's experiments: what the paper reports beside what was measured here."""
+"""Report of the paper's experiments, with the paper's values and those measured here."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from fishmj.base.pages import Section, figure, part, report, table
 from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentFindings, PaperExperiment
 
-ELSEWHERE = {  # figures of the paper that other commands remake
+ELSEWHERE = {  # figures of the paper that other commands reproduce
     "2, forces on a bent fish in a stream": "fishmj lbm_oracle forcemap --device cuda --fields",
     "5, complexity of the tank's flow": "fishmj lbm_oracle drift --device cuda",
     "7, response of the joints": "fishmj calibrate servo",
@@ -15,7 +15,7 @@ ABOUT = "Value (95 % interval over trials), n trials. Everything measured here i
 
 
 class FinishedExperiment(NamedTuple):
-    """An experiment whose rows are all there. cpu: s that its rows took."""
+    """Experiment with all its rows. cpu: s of CPU for its rows."""
 
     experiment: PaperExperiment
     findings: ExperimentFindings

@@ -17,18 +17,18 @@ from fishmj.tasks.station_hold import mirror_signs
 
 
 class MirroredTrials(Trials):
-    """Trials without turbulence, each the mirror image of another about the stream: start, joint zeros and noise."""
+    """Trials without turbulence, mirror images of other trials about the stream: start, joint zeros and noise."""
 
     drawn_as: ClassVar[str] = "mirrored"
 
     @classmethod
     def of(cls, some: Trials) -> "MirroredTrials":
-        """Mirror images of trials, with the draws of those."""
+        """Mirror images of trials, with the same draws."""
         known = {field.name: getattr(some, field.name) for field in fields(Trials)}
         return cls(**known | {"items": tuple(item._replace(los=-item.los) for item in some.items)})
 
     def fish(self, robot: Robot):
-        """Randomised fish of the originals with their joint zeros on the other side."""
+        """Randomised fish of the originals with their joint zeros negated."""
         params, camera = super().fish(robot)
         return params._replace(zero=-params.zero), camera
 

@@ -98,7 +98,7 @@ def found_policies(setup: ExperimentSetup, folder: Path, name: str) -> list[tupl
 
 
 def trained(setup: ExperimentSetup, name: str, settings: Settings, done: Done) -> Row:
-    """Row of a policy that is trained first."""
+    """Trains a policy, and returns its row."""
     folder = f"{name.replace(' ', '-')}-{settings.seed}"
     _, files = train_stages(setup, folder, settings, (settings.steps,))
     row = judged(setup, str(files[-1]), settings.water, lambda seconds: None)

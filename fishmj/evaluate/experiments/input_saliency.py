@@ -20,15 +20,15 @@ from fishmj.evaluate.plots import STYLE
 from fishmj.tasks.station_hold import spans
 
 SPEEDS, SIDES = (0.1, 0.2, 0.3), {"downstream": 225, "upstream": 45}
-STEPS = 24  # of the integral
-WORK = 15  # cost of a trial with its derivatives, in trials; measured
-OWN = 2  # inputs before those of the fish's own state
-MEANT = 3  # control steps of one kept sample
+STEPS = 24  # quadrature steps of the integral
+WORK = 15  # cost of a trial with its derivatives, in trials without; measured
+OWN = 2  # number of inputs (the target) before those of the fish's own state
+MEANT = 3  # control steps averaged to one saved sample
 METHODS = ("sensitivity", "integrated")
 
 
 def slopes(policy: Policy, inputs: np.ndarray) -> np.ndarray:
-    """Derivatives (B, J, N) of the actions with respect to the N observations, in their units; remembered ones move along."""
+    """Derivatives (B, J, N) of the actions with respect to the N observations, in their units, summed over remembered values."""
     return _by_observation(policy, policy.jacobian(inputs)[1]) / np.asarray(policy.meta["scale"])
 
 
@@ -64,14 +64,14 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
     """Two directions at three speeds. Raises ConfigError: a controller that is not a policy of `fishmj.control.policy`."""
     brain = setup.brain
     if not isinstance(brain, LearnedController):
-        raise ConfigError(f"experiment saliency: {brain.name} is no policy file, so it has no derivatives; take a trained policy")
+        raise ConfigError(f"experiment saliency: {brain.name} is not a policy, so it has no derivatives; take a trained policy")
     trials = setup.trials(speeds=SPEEDS, los_deg=list(SIDES.values()), repeats=setup.of(8, 5), duration=30)
     part = setup.part("policy", brain, trials, lambda result: saliency_row(result, brain.policy))
     return [part._replace(seconds=(WORK if setup.solver is None else 1) * part.seconds)]
 
 
 def saliency_row(result: Result, policy: Policy) -> Row:
-    """Shares of each condition over time, means over its trials; correlation of each trial. The policy sees its swims again."""
+    """Replays the policy on its swims: mean shares over time for each condition, and the correlation of each trial."""
     sigma, steps = result.obs.std((0, 1)), []
     policy.reset()
     for k in range(result.obs.shape[1]):
@@ -86,14 +86,14 @@ def saliency_row(result: Result, policy: Policy) -> Row:
     for side, los in SIDES.items():
         for speed in SPEEDS:
             some = (degrees == los) & (result.trials.speed == speed)
-            means = {method: rounded(_meant(x[some].mean(0)), 4) for method, x in found.items()}
+            means = {method: rounded(_block_means(x[some].mean(0)), 4) for method, x in found.items()}
             own = {f"own, {method}": rounded(x[some][..., OWN:].sum(-1).mean(1), 4) for method, x in found.items()}
-            row["maps"][f"{side}, {speed:g} m/s"] = means | own | {"correlation": rounded(_meant(same[some].mean(0)), 3)}
+            row["maps"][f"{side}, {speed:g} m/s"] = means | own | {"correlation": rounded(_block_means(same[some].mean(0)), 3)}
     return row
 
 
-def _meant(x: np.ndarray) -> np.ndarray:
-    """Means of MEANT control steps each of x (T, ..)."""
+def _block_means(x: np.ndarray) -> np.ndarray:
+    """Block means of x (T, ..) over MEANT control steps."""
     n = len(x) // MEANT
     return x[: n * MEANT].reshape(n, MEANT, *x.shape[1:]).mean(1)
 

@@ -21,11 +21,11 @@ from fishmj.evaluate.plots import COLOURS, INK, STYLE
 from fishmj.train.settings import Settings
 
 STAGES = {"S1": 50_000, "S2": 450_000}  # control steps; S3 is the end
-EARLY = 5.0  # s, in which a fish that cannot swim is carried a metre
+EARLY = 5.0  # s, in which the stream carries a passive fish by a metre
 
 
 def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
-    """One training for each seed, with its stages judged."""
+    """One training for each seed, with an evaluation of its stages."""
     made = []
     for seed in range(setup.of(constant("training", "runs"), 1)):
         settings = settings_of(setup, seed=setup.seed + seed)

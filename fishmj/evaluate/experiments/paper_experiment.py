@@ -16,12 +16,12 @@ from fishmj.lbm_oracle.run.solver_water import SolverWater
 from fishmj.mjcf.description import Robot
 
 PAPER = "Egocentric Station Holding of Robotic Fish in Unknown Turbulent Background Flow"
-Row = dict[str, Any]  # what one part found, in JSON's own types
-Done = Callable[[float], None]  # takes the simulated seconds that are done
+Row = dict[str, Any]  # result of one part, in JSON types
+Done = Callable[[float], None]  # progress callback, called with simulated seconds
 
 
 class ExperimentPart(NamedTuple):
-    """A piece of an experiment that is kept as soon as it ends. seconds: simulated time of trials that cost as much."""
+    """Part of an experiment, saved as soon as it ends. seconds: its cost as simulated time of trials."""
 
     key: str
     seconds: float
@@ -29,7 +29,7 @@ class ExperimentPart(NamedTuple):
 
 
 class PaperFinding(NamedTuple):
-    """One figure of the paper beside the one measured here. value, low, high: NaN where there is none; n: trials."""
+    """Value of the paper and the one measured here. value, low, high: NaN if there is none; n: number of trials."""
 
     what: str
     paper: str
@@ -53,8 +53,8 @@ class PaperExperiment(NamedTuple):
     """One experiment.
 
     Attributes:
-        figure: number of the paper's figure, and its subject. about: one line. robot: what only the real robot can show.
-        parts: pieces, each with a key of its own. findings: figures and pictures, from the rows by key.
+        figure: number and subject of the paper's figure. about: one line. robot: results that need the real robot.
+        parts: parts with unique keys. findings: function that computes values and plots from the rows by key.
     """
 
     name: str
@@ -93,7 +93,7 @@ class ExperimentSetup:
 
     @cached_property
     def brain(self) -> Controller:
-        """The policy. Raises ConfigError, UnknownName: one of another fish, or none."""
+        """Controller made from the policy. Raises ConfigError, UnknownName: a policy for another fish, or no policy."""
         return control.chosen(self.policy, self.robot)
 
     @property
@@ -107,7 +107,7 @@ class ExperimentSetup:
         return engines.make(engines.fastest(), self.robot)
 
     def judge(self, brain: "Controller | str", trials: Trials, done: Done) -> Result:
-        """Judges a controller, or one that the user named, in this water."""
+        """Evaluates a controller, given as an object or as the user named it, in this water."""
         brain = control.chosen(brain, self.robot) if isinstance(brain, str) else brain
         step = self.robot.timing.control_dt
         if self.solver is None:
@@ -116,5 +116,5 @@ class ExperimentSetup:
         return judge_in_solver(brain, self.robot, trials, self.out, progress=lambda k: done(k * step), **options)
 
     def part(self, key: str, brain: "Controller | str", trials: Trials, row: Callable[[Result], Row]) -> ExperimentPart:
-        """Part that judges one controller over trials and keeps `row` of its result."""
+        """Part that evaluates one controller over trials and saves `row(result)`."""
         return ExperimentPart(key, trials.duration * len(trials), lambda done: row(self.judge(brain, trials, done)))

@@ -14,8 +14,8 @@ from fishmj.evaluate.plots import COLOURS, STYLE, eight_panel
 from fishmj.evaluate.protocol import EIGHT
 from fishmj.tasks.reference import path_length
 
-RIVALS = ("pnl", "adrc-c1")  # of the paper; those that there are
-BINS = 48  # of a cycle
+RIVALS = ("pnl", "adrc-c1")  # the paper's, as far as fishmj has them
+BINS = 48  # bins of arc length in a cycle
 SAID = {0.1: "precise; ADRC too, PNL deforms", 0.2: "nearly complete; ADRC drifts", 0.3: "recognisable; PNL and ADRC are lost"}
 
 

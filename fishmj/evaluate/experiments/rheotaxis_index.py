@@ -13,16 +13,16 @@ from fishmj.evaluate.metrics import Result
 from fishmj.evaluate.plots import FAINT, STYLE
 from fishmj.mjcf.description import Robot
 
-START = 30.0  # s, after which the hold phase begins
-ABOVE = 0.08  # m/s, from which on the index is compared with the paper's plateau
-RENEWED = 25  # control steps of a random gait
+START = 30.0  # s, start of the hold phase
+ABOVE = 0.08  # m/s, least speed of the paper's plateau
+RENEWED = 25  # control steps until a new random gait
 RATES = Rates(frequency=4.0, amplitude=np.radians(90), bias=np.radians(240))  # of its changes
 
 
 class RandomGait:
-    """Null model: a CPG whose frequency, amplitude and bias are drawn anew every five seconds, whatever it observes.
+    """Null model: a CPG with new random frequency, amplitude and bias every five seconds, without feedback.
 
-    The first observation, with its noise, seeds a fish: its gaits are the same alone and in a batch.
+    The noisy first observation seeds each fish, so that its gaits do not depend on the batch.
     """
 
     name = "random-gait"
@@ -59,7 +59,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
 
 
 def index_row(result: Result, bounded: bool) -> Row:
-    """Indices of every trial over the hold phase; unbounded: also of a fish that has left the tank, in the surrogate."""
+    """Indices of every trial over the hold phase; bounded: only until a fish leaves the tank."""
     window = START, START + constant("rheotaxis", "hold")
     cosine, linear = metrics.rheotaxis(result, window, bounded)
     return {"speed": rounded(result.trials.speed, 3), "cosine": rounded(cosine, 4), "linear": rounded(linear, 4)}

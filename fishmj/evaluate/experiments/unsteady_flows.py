@@ -15,7 +15,7 @@ from fishmj.evaluate.plots import COLOURS, FAINT, STYLE, plain_ticks
 from fishmj.evaluate.protocol import Trials
 from fishmj.water.flow import TICK, Current, shifted
 
-RIVAL = "dob"  # the controller with a flow observer
+RIVAL = "dob"  # controller with a flow observer
 SPEED, STRONG = 0.2, 0.25  # m/s; turbulence intensity beside the default 5 %
 KINDS: dict[str, dict[str, Any]] = {
     "turbulence 5 %": {},
@@ -31,7 +31,7 @@ BEGINS, LASTS = 30.0, 5.0  # s
 
 @dataclass(frozen=True, kw_only=True)
 class ChangingTrials(Trials):
-    """Trials whose mean stream changes evenly to `speed_after` [m/s], turned by `turn` [rad], from `begins` on for `lasts` s."""
+    """Trials whose mean stream ramps to `speed_after` [m/s], turned by `turn` [rad], from `begins` on within `lasts` s."""
 
     steady: ClassVar[bool] = False
 
@@ -53,7 +53,7 @@ class ChangingTrials(Trials):
         return (1 - share) * self.speed[:, None] * before + share * self.speed_after * after
 
     def stream(self, current: Current, t: float) -> Current:
-        """Flow from time t [s] on; the eddies keep their places at t."""
+        """Flow from time t [s] on; the eddies keep their positions at t."""
         by = self.mean(t) - current.mean
         return shifted(current, by, np.full(len(self), round(t / TICK))) if np.abs(by).max() > 1e-12 else current
 
@@ -72,7 +72,7 @@ def parts(setup: ExperimentSetup) -> list[ExperimentPart]:
 
 
 def flow_row(result: Result) -> Row:
-    """Figures; of a changing stream also the distances, and no energies, which need one mean stream."""
+    """Metrics of each trial; for a changing stream also distances, but no energies, which need a constant mean stream."""
     row = figures_row(result)
     if result.trials.steady:
         return row

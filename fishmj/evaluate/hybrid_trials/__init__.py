@@ -1,1 +1,1 @@
-"""The verb `hydro_fit hybrid`: the value of the correction of a running water, if that water is right and if it is wrong."""
+"""The verb `hydro_fit hybrid`: benefit of the online correction of a water, for correct and for wrong waters."""

@@ -1,22 +1,22 @@
-"""Does the flow solver mend MuJoCo's water while it swims? A policy holds station, against a solver that never stops.
+"""Test of the online correction: a policy holds station in MuJoCo, with and without it, compared with the flow solver.
 
     fishmj hydro_fit hybrid --wrong stream --device cuda     12 trials of 120 s at 0.2 m/s in turbulence; resumable
     fishmj hydro_fit hybrid --wrong all ...                  every condition, one after the other
     fishmj hydro_fit hybrid --domain laptop --episodes 2 --seconds 20         a preview on a CPU
 
     none          the water as fitted                slip      the solver at a slip ratio 0.02 lower than the water's
-    tail          a tail 10 % shorter, in the water fitted to a hull along which no water slides (NAME-noslip)
+    tail          a tail 10 % shorter, in the water fitted to a no-slip hull (NAME-noslip)
     added_mass    the tail's added mass 30 % off     stream    the tank's stream 0.05 m/s faster than MuJoCo's
 
 Every trial is swum three times, with the same fish, noise and eddies: in MuJoCo alone, in MuJoCo corrected (the water `hybrid`),
-and in the flow solver, closed loop. Solved trials are kept in --out and serve every condition that they belong to. The trials are
-the judge's (`evaluate --speeds 0.2`). RMSE is the distance from the target over the second half of a trial. Speed is over ground,
-averaged over a beat; place is the distance from the solver's fish. Both are means from the end of the first segment on, because
-nothing is corrected before that.
+and in the flow solver, closed loop. Solver trials are saved in --out and reused by all conditions. The trials are those of
+`evaluate --speeds 0.2`. RMSE is the distance from the target over the second half of a trial. Speed is over ground, averaged over
+a beat; place is the distance from the solver's fish. Both are means after the first segment, before which nothing is corrected.
 
-`none` is the control, and is swum with every other condition. A figure is off if it differs from the solver's by two standard
-errors and by more than the right water's does (bound of its 95 % interval). It holds if less than half of that is left, or no
-more than the right water's. What is not off must stay so, and the right water's place and RMSE must not grow by more than 5 %.
+`none` is the control, which runs with every other condition. A metric is off if it differs from the solver's by two standard
+errors and by more than in the control (bound of its 95 % interval). The correction holds if less than half of that difference
+remains, or no more than in the control. Other metrics must not become off, and place and RMSE of the control must not grow by
+more than 5 %.
 """
 
 import contextlib
@@ -56,12 +56,12 @@ from fishmj.water.flow import DrawnFlow, Flow, shifted
 
 SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.02  # of the tail's length, of its added mass; m/s; less slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")
-CONTROL = "none"  # the right water
-RIGHT = {"rmse": GAP, "speed": 0.01}  # m, m/s: most that it may be off; 0.01 is the tolerance of movement at 0.2 m/s
-FIRST_KIND = 2.0  # standard errors by which a figure must be off before it is asked to be mended
-MUST, TARGET = 0.5, 0.25  # of the difference that may stay
-WORSE, SHARE = 1.05, 0.10  # of figures where nothing is wrong; of the time
-LEAST = 0.02  # m/s of the stream: `Flow` cannot be slower than still
+CONTROL = "none"  # condition with the correct water
+RIGHT = {"rmse": GAP, "speed": 0.01}  # m, m/s: its largest difference; 0.01 is the tolerance of motion at 0.2 m/s
+FIRST_KIND = 2.0  # standard errors from which on a metric counts as off
+MUST, TARGET = 0.5, 0.25  # required and desired remaining share of the difference
+WORSE, SHARE = 1.05, 0.10  # largest growth of the control's metrics; largest share of time in the solver
+LEAST = 0.02  # m/s, least speed of the stream, so that a slower tank still has a speed above 0
 SHOWN = ("figure", "solver", "alone - solver", "hybrid - solver", "right water", "left", "mended")
 
 
@@ -70,27 +70,27 @@ def options() -> console.Parser:
     parser = console.parser("hydro_fit hybrid", __doc__)
     add = parser.add_argument
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
-    add("--model", type=console.text, default="fitted", help="the water that is corrected: fitted, a name or .toml")
-    noslip = "of --wrong tail: that of a hull along which no water slides; default the model's name and -noslip"
+    add("--model", type=console.text, default="fitted", help="water to correct: fitted, a name or .toml")
+    noslip = "water of --wrong tail, fitted to a no-slip hull; default the model's name with -noslip"
     add("--noslip", type=console.text, help=noslip)
     add("--policy", type=console.text, default="station", help="controller, shipped policy, policy file or module:Name")
-    wrong = "what is wrong about MuJoCo's water, or about the tank"
+    wrong = "error in MuJoCo's water or in the tank"
     add("--wrong", choices=(*WRONG, "all"), default="none", help=wrong)
-    add("--episodes", type=console.whole(1, 1000), default=12, help="trials")
-    add("--seconds", type=console.number(1, 600), default=120.0, help="of each trial; 120 hold three segments")
-    add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="of the current that MuJoCo is told")
+    add("--episodes", type=console.whole(1, 1000), default=12, help="number of trials")
+    add("--seconds", type=console.number(1, 600), default=120.0, help="length of each trial; 120 s include three segments")
+    add("--speed", type=console.number(LEAST, 1), default=0.2, metavar="M/S", help="speed of the current in MuJoCo")
     console.add_settings(parser, HybridOptions, "every", "first", "lead", "own")
     add("--domain", choices=NAMES, help="box of water; by default that of the model's segments; laptop is a preview")
     add("--device", type=console.device, default="auto", help=console.DEVICE_HELP)
-    add("--tanks", type=console.whole(1, 256), help=f"side by side; default {ON_GPU} on a GPU, which they fill, else 1")
+    add("--tanks", type=console.whole(1, 256), help=f"number of parallel tanks; default {ON_GPU} on a GPU, else 1")
     add("--seed", type=console.SEED, default=0, help="of the trials")
-    place = "folder of solved trials and figures; goes on with what is there"
+    place = "folder of solver trials and results; an existing one is continued"
     add("--out", type=console.out_folder, default="runs/hybrid", help=place)
     return parser
 
 
 def main(argv: list[str]) -> int:
-    """Runs the verb `hybrid`; exit code 1 if the correction misses its aim."""
+    """Runs the verb `hybrid`; exit code 1 if the correction does not hold."""
     args = options().parse_args(argv)
     if args.seconds <= (least := args.first + args.lead + HybridOptions.span):
         raise ConfigError(
@@ -145,7 +145,7 @@ class StudyCondition:
 
 
 def solver_of(args) -> SolverWater:
-    """Water of the tanks: that of the right fitted water's segments; the conditions `slip` and `stream` change it."""
+    """Water of the tanks: that of the correct water's segments; the conditions `slip` and `stream` change it."""
     return HybridOptions(domain=args.domain).solver(choice.in_water(load_robot(args.fish), args.model))
 
 
@@ -190,14 +190,14 @@ class TankTrials(Trials):
 
 
 def trials_of(args) -> Trials:
-    """The judge's first trials at one speed: every direction once, then the next repeats."""
+    """First standard trials at one speed: every direction once, then the next repeats."""
     repeats = 1 + (args.episodes - 1) // 8
     made = protocol.trials(speeds=(args.speed,), repeats=repeats, seed=args.seed, duration=args.seconds)
     return replace(made, items=tuple(sorted(made.items, key=lambda item: (item.repeat, item.los))[: args.episodes]))
 
 
 def kept(one: StudyCondition, trials: Trials, args, right: dict | None) -> dict:
-    """Figures of a condition: those in --out if they were made with the same options, else measured; judged by the control."""
+    """Results of a condition: those in --out if made with the same options, else new ones; compared with the control."""
     path = Path(args.out) / f"{one.name}.json"
     made = {"robot": repr(one.robot), "chain": repr(one.chain), "hybrid": repr(one.options(args)), "policy": args.policy}
     made |= {"trials": asdict(trials), "code": package_sha256()}
@@ -211,7 +211,7 @@ def kept(one: StudyCondition, trials: Trials, args, right: dict | None) -> dict:
 
 
 def measured(one: StudyCondition, trials: Trials, args) -> dict:
-    """Swims the trials three times, and compares."""
+    """Swims the trials in all three ways, and compares."""
     brain = control.chosen(args.policy, one.robot)
     hybrid = one.options(args)
     inside = one.engine()
@@ -263,7 +263,7 @@ def figures(swim: Result, solver: Result, since: float) -> dict[str, np.ndarray]
 
 
 def compared(found: dict[str, dict[str, np.ndarray]]) -> dict:
-    """Differences of both swims in MuJoCo from the solver's, `off`, and what they hold without that comparison, `same`."""
+    """Differences of both MuJoCo swims from the solver's, `off`, and their own values of place and RMSE, `same`."""
     rows: list[dict[str, Any]] = []
     same: list[dict[str, Any]] = []
     for name in ("rmse", "speed"):
@@ -280,7 +280,7 @@ def compared(found: dict[str, dict[str, np.ndarray]]) -> dict:
 
 
 def judged(row: dict, right: dict | None) -> dict:
-    """Row of a condition with the judgement of its correction.
+    """Row of a condition with the verdict on its correction.
 
     Args:
         row: figures of a condition, as of `compared`. right: row of the control; None if this is the control.

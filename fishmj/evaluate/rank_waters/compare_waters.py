@@ -1,8 +1,8 @@
-"""The same controllers on the same trials in the flow solver and in a surrogate: targets, flows, fish, latencies and noise alike.
+"""Runs the same controllers on the same trials (targets, flows, fish, latencies, noise) in the flow solver and in a surrogate.
 
-Every first part of the trials' order is spread over speeds and directions. Trials run group by group with all controllers, so
-that a run that ends early leaves complete trials. The solver keeps each finished trial in a folder named by the hash of its code;
-the surrogate takes seconds and always runs again.
+Trials are ordered so that any first part covers speeds and directions evenly. Groups of trials run with all controllers, so that
+an early end leaves complete trials. Finished solver trials are saved in a folder named by the hash of the solver's code; the
+surrogate takes seconds and always runs again.
 
     rmse_after_arrival   m, from first entry to 30 s, without arrival from 10 s on        of shorter trials: to the end, the
     rmse_holding         m, over 40 to 60 s                                               last two thirds, the last third
@@ -33,8 +33,8 @@ AGAIN = (
     run_trials.Variation("r2", (-0.14, 0.46)),
     run_trials.Variation("half", finer=2),
 )
-OFTEN = 8  # repeats of the surrogate beside those of the solver, each with its fish half a cell away at most
-STRIDE = 3  # between directions that follow each other in the order
+OFTEN = 8  # repeats in the surrogate, each with the fish shifted by at most half a cell
+STRIDE = 3  # index step between consecutive directions in the order
 
 Report = Callable[[int], None]  # control steps done, summed over trials
 Water = Callable[..., Result]  # (controller, trials, report) -> result

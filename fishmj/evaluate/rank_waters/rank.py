@@ -6,7 +6,7 @@
     told apart in a water: the interval of two controllers' paired difference excludes 0 (`metrics.PairedDifference.apart`)
     tau-b      sum s_a s_b / sqrt(sum s_a^2 sum s_b^2),  s = sign of a pair's mean difference in each water (Kendall 1945)
 
-Only pairs that are told apart in both waters count for the verdict: the order of a pair within its interval is not known.
+Only pairs that differ significantly in both waters count, because the order of other pairs is unknown.
 """
 
 from collections.abc import Mapping, Sequence

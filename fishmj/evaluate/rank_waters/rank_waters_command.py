@@ -1,4 +1,4 @@
-"""Are controllers worth the same in a fitted water and in the flow solver?
+"""Compares the ranking of controllers in a fitted water with that in the flow solver.
 
     fishmj hydro_fit rank --device cuda --tanks 24         24 trials of 60 s, all control, both waters
     fishmj hydro_fit rank --domain laptop --device cpu --trials 6 --seconds 10         a preview
@@ -52,26 +52,26 @@ def options() -> console.Parser:
     """Parser of the verb `rank`."""
     parser = console.parser("hydro_fit rank", __doc__)
     add = parser.add_argument
-    brains = f"default {' '.join(DEFAULT)}; drift is shown and not ranked; your own as module:Name"
+    brains = f"controllers; default {' '.join(DEFAULT)}; drift is shown but not ranked; your own as module:Name"
     add("controllers", type=console.text, nargs="*", action=console.Distinct, metavar="CONTROLLER", help=brains)
     control.anyway_option(parser)
     add("--fish", type=console.text, default="fish", help="a shipped name or a description (.toml)")
-    model = "the surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
+    model = "surrogate: a fitted water by name or .toml, NAME-base for its strips; default the shipped one"
     add("--model", type=console.text, help=model)
-    add("--engine", choices=engines.NAMES, default="batch", help="of the surrogate")
+    add("--engine", choices=engines.NAMES, default="batch", help="engine of the surrogate")
     add("--domain", choices=EVERY, help="box of the solver; by default that of the model's segments; laptop is a preview")
-    add("--device", type=console.device, default="auto", help=f"of the solver: {console.DEVICE_HELP}")
-    tanks = f"trials side by side in the solver; by default {ON_GPU} on a GPU, else 1"
+    add("--device", type=console.device, default="auto", help=f"device of the solver: {console.DEVICE_HELP}")
+    tanks = f"parallel trials in the solver; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), metavar="N", help=tanks)
-    part = "of the decided 72, spread over speeds and directions"
+    part = "number of the standard 72 trials, spread over speeds and directions"
     add("--trials", type=console.whole(1, 72), default=24, metavar="N", help=part)
-    add("--seconds", type=console.number(1, 600), metavar="S", help="of a trial; default 60")
+    add("--seconds", type=console.number(1, 600), metavar="S", help="length of a trial; default 60")
     often = console.whole(0, len(compare_waters.AGAIN))
-    add("--again", type=often, default=0, metavar="N", help="repeats in the solver, 8 in the surrogate; 3 is all")
-    budget = "wall clock after which no further trial is begun in the solver; by default none"
+    add("--again", type=often, default=0, metavar="N", help="repeats in the solver, at most 3; with any, 8 in the surrogate")
+    budget = "wall-clock time after which no further solver trial starts; by default no limit"
     add("--budget", type=console.number(0, 1e7), metavar="S", help=budget)
-    add("--seed", type=console.SEED, default=0, help="of the trials")
-    out = "finished trials, which are not run again, and rank.json, rank.png, in place of old ones"
+    add("--seed", type=console.SEED, default=0, help="seed of the trials")
+    out = "folder of finished trials, which are not run again, and of rank.json and rank.png, which are replaced"
     add("--out", type=console.out_folder, default="runs/rank", metavar="DIR", help=out)
     return parser
 
