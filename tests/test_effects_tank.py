@@ -154,7 +154,7 @@ def test_every_effect_of_the_catalogue_acts_in_a_tank_or_is_the_waters():
     assert {name for name in why if not why[name]} == set(ACTING)
     assert all("coefficients of strips" in why[n] or "forces of strips" in why[n] for n in STRIPS)
     assert all("the solver replaces" in why[n] for n in STRIPS | FORCES)
-    assert all("uniform and steady" in why[n] for n in UNEVEN) and all("stochastic" in why[n] for n in DRAWN)
+    assert all("uniform, steady" in why[n] for n in UNEVEN) and all("stochastic" in why[n] for n in DRAWN)
 
 
 def own(**sites) -> Effect:

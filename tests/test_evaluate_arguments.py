@@ -54,7 +54,7 @@ def test_run_without_an_engine_swims_in_the_default_water():
 
 @pytest.mark.parametrize("twice", [{"speeds": [0.2, 0.2]}, {"los_deg": [0, 360]}, {"los_deg": [45, 90, -315]}])
 def test_trials_refuse_a_condition_that_stands_twice(twice):
-    with pytest.raises(ConfigError, match="stands there twice"):
+    with pytest.raises(ConfigError, match="is given twice"):
         evaluate.trials(**twice)
 
 

@@ -466,7 +466,7 @@ def test_list_of_experiments_loads_none_of_the_heavy_packages():
         (["--quick"], "--quick without a NAME"),
         (["--out", "runs/a"], "--out without a NAME"),
         (["ablations", "--trained", "no_such_folder"], "no policy of the variant 'complete'"),
-        (["approach", "--water", "hybrid"], "experiments swims in"),
+        (["approach", "--water", "hybrid"], "experiments supports"),
         (["approach", "--policy", "statoin"], "station"),
     ],
 )

@@ -127,7 +127,7 @@ def test_divisors_of_any_array_are_taken(array, tmp_path):
     [
         (
             lambda: Policy.of(ROBOT, layers()),
-            r"weights \(11, 8\) and bias \(8,\): these are .*expected .out, in.: transpose",
+            r"weights \(11, 8\) and bias \(8,\): got .*expected .out, in.; transpose",
         ),
         (lambda: Policy.of(ROBOT, turned(layers(12))), "expected 11 inputs"),
         (lambda: Policy.of(ROBOT, turned(layers()), memory=2), "expected 25 inputs"),

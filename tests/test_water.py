@@ -244,7 +244,7 @@ def test_attachment_stays_between_stalled_and_attached(seed):
 def test_coefficients_that_feed_energy_are_refused():
     with pytest.raises(ConfigError, match="can add energy"):
         strip_forces.coefficients(dict(ROBOT.water, lift_a=0.1, lift_b=0.2), N)
-    with pytest.raises(ConfigError, match="one value a link"):
+    with pytest.raises(ConfigError, match="one value for each of"):
         strip_forces.coefficients(dict(ROBOT.water, k=[0.9]), N)
 
 

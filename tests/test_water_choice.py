@@ -129,7 +129,7 @@ def test_none_is_no_water_in_the_closed_form_and_in_mujoco():
 def test_sim_says_its_water():
     assert Sim("fish").water_name == "swift" and Sim("fish", water="structured").water_name == "structured"
     assert Sim("fish").run(lambda t: np.zeros(3), 0.1).meta["water"] == "swift"
-    with pytest.raises(ConfigError, match="water 'lbm': Sim swims in"):
+    with pytest.raises(ConfigError, match="water 'lbm': Sim supports"):
         Sim("fish", water="lbm")
 
 
@@ -147,9 +147,9 @@ def test_suite_gymnasium_and_the_jax_environment_take_a_water():
         env = StationHold(FISH, "planar", water=water)
         assert label(env.robot) == named == label(env.engine.robot)
     for water in ("hybrid", "lbm"):
-        with pytest.raises(ConfigError, match=f"water '{water}': this environment swims in"):
+        with pytest.raises(ConfigError, match=f"water '{water}': this environment supports"):
             gymnasium.make("fishmj/StationHold-v0", engine="planar", water=water)
-        with pytest.raises(ConfigError, match=f"water '{water}': the environment in JAX swims in"):
+        with pytest.raises(ConfigError, match=f"water '{water}': the environment in JAX supports"):
             StationHold(FISH, "planar", water=water)
 
 
@@ -168,7 +168,7 @@ def test_training_picks_an_engine_that_supports_the_requested_water():
     assert water_for(settings).kind == "fitted" == settled(settings).water
     assert pick_engine(settings) in ("compiled", "planar", "mjx")
     assert settled(replace(settings, water="structured")).water == "structured"
-    with pytest.raises(ConfigError, match="water 'lbm': training swims in"):
+    with pytest.raises(ConfigError, match="water 'lbm': training supports"):
         water_for(replace(settings, water="lbm"))
 
 

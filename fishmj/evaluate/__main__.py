@@ -76,7 +76,7 @@ def options() -> console.Parser:
     add("--ray", type=console.text, metavar="ADDRESS", help=f"{spread}; default: this machine")
     add("--turbulence", choices=tuple(PRESETS), help="kind of turbulence of the current; default: default")
     add("--intensity", type=console.number(0, 0.99), help="turbulence intensity, u_rms / max(speed, 0.1 m/s); default 0.05")
-    tank = "map from fishmj deploy flow-map: sets the measured TI at each speed, and the turbulence nearest in length scale"
+    tank = "flow map of fishmj deploy flow-map: sets TI at each speed, and turbulence by the length scale; default none"
     add("--flow-map", type=console.path, metavar="FILE", help=tank)
     speeds = console.Listed(console.number(0, 1))
     add("--speeds", type=speeds, metavar="M/S,..", help="speeds of the current; default 0.1,0.2,0.3, of angle_of_attack 0.2")
