@@ -34,10 +34,8 @@ def swim(hertz, degrees, lag, bias=0.0, dt=CHAIN.dt, seconds=40.0, tail=4.0):
 
 if "--steps" in sys.argv:
     for dt in (0.0005, 0.001, 0.002, 0.004, 0.008):
-        print(
-            f"step {dt * 1e3:3.1f} ms: lag 60 deg %.4f m/s, in phase %.4f m/s"
-            % tuple(swim(1.0, 30, [60, 0], dt=dt, seconds=12.0)[0])
-        )
+        wave, phase = swim(1.0, 30, [60, 0], dt=dt, seconds=12.0)[0]
+        print(f"step {dt * 1e3:3.1f} ms: lag 60 deg {wave:.4f} m/s, in phase {phase:.4f} m/s")
     sys.exit()
 hertz, bias = np.arange(0.25, 2.01, 0.25), np.array([10.0, 20.0, 30.0])
 (wave, phase), _, (watts, watts_phase) = swim(hertz, 30, [[60], [0]])
@@ -56,7 +54,6 @@ print(f"added over own inertia, straight fish: {np.round(np.sort(ratio)[::-1], 2
 assert (np.diff(wave[:6]) > 0).all() and 0.1 < phase[3] < wave[3] < 0.5, "faster beats swim faster; a wave beats in phase"
 assert (np.diff(np.abs(turn)) > 0).all() and (turn < 0).all(), "a bias to the left turns the fish to the right, more of it faster"
 assert 0.05 < drag < 0.2 and 2.0 < sum(heave) < 2.4, "a slender body: little drag ahead, much water sideways"
-
 figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
 axes.legend(axes.plot(hertz, wave, "o-", hertz, phase, "s-"), ["lag 60 deg", "in phase"])
 axes.set(xlabel="beat frequency [Hz]", ylabel="speed in still water [m/s]", title="30 deg on all joints (synthetic, prior)")

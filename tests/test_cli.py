@@ -305,7 +305,7 @@ def test_closed_pipe_ends_no_work(tmp_path):
     "given, near",
     {
         "trian": "train", "Evaluate": "evaluate", "heading": "heading_marker_offset", "nonsense": "", "": "",
-        "friction": "", "evaluation": "evaluate",
+        "friction": "", "evaluation": "evaluate", "tarin": "train", "eval": "evaluate", "sensor": "joint_sensor_delay",
     }.items(),
 )  # fmt: skip
 def test_only_a_close_name_is_suggested(given, near):

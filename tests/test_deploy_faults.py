@@ -240,7 +240,7 @@ def test_fault_25_policy_of_another_structure_is_refused_on_load():
     from fishmj.control.learned import LearnedController
     from fishmj.mjcf.reading import load_robot
 
-    with pytest.raises(ConfigError, match="robot tendon_fish has 9 and 2"):
+    with pytest.raises(ConfigError, match="robot tendon_fish needs 9 and 2"):
         LearnedController(load_robot("tendon_fish"), "station")
 
 

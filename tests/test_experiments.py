@@ -38,7 +38,7 @@ from fishmj.evaluate.experiments.experiment_rows import ExperimentRows, identity
 from fishmj.evaluate.experiments.paper_experiment import PAPER, ExperimentSetup
 from fishmj.evaluate.run_trials import fingerprint, judge_in_solver
 from fishmj.lbm_oracle.run.solver_water import PLAIN
-from fishmj.mjcf.identity import named, structure_of
+from fishmj.mjcf.identity import robot_names, structure_of
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.choice import in_water
 from fishmj.water.flow import sample, stack
@@ -421,7 +421,7 @@ def test_command_reports_and_continues_with_the_parts_that_are_there(tmp_path, c
     assert first["what"] == "approach time, downstream" and first["paper"] == "at most 5 s" and first["n"] == 8
     page, robot = (tmp_path / "report.html").read_text(), told["robot"]
     assert "at most 5 s" in page and f"Robot swift, shipped as fish, sha256 {robot['sha256'][:12]}<" in page.split("</header>")[0]
-    assert robot == named(ROBOT) | {"file": "fish"}
+    assert robot == robot_names(ROBOT) | {"file": "fish"}
     path = tmp_path / "approach.jsonl"
     whole = path.read_text()
     path.write_text(whole.splitlines()[0] + "\n")  # interrupted after the first part

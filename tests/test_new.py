@@ -82,6 +82,13 @@ def test_fish_that_options_describe_weigh_what_they_displace_and_lie_level():
         assert [len(robot.water[key]) for key in ("k", "cn")] == [links, links]
 
 
+def test_a_fish_of_one_joint_is_told_that_its_thrust_dies_away(capsys):
+    """In strips alone: it has no wave, and its speed falls from 0.05 m/s to a fiftieth in a minute."""
+    assert new("pike", *sized(links="2")) == console.OK
+    out = capsys.readouterr().out
+    assert "still changing at 60 s" in out and "the thrust of one joint dies away" in out
+
+
 def test_answers_are_asked_until_they_are_valid(monkeypatch, capsys):
     lines = iter(["pike", "six", "60 cm", "0.11", "", "0.14", "1e9", "1600g", "0.24, 0.30,0.4", "nothing", "lx-824"])
     asked = []

@@ -53,12 +53,15 @@ class ResetNeeded(FishmjError, AssertionError):
 
 
 def closest_name(text: str, known: Iterable[str]) -> str:
-    """The one of `known` that `text` is a slip of, or the only one of which it is a whole word; "" if none is that close."""
-    folded = {name.lower(): name for name in known}
-    if close := get_close_matches(text.lower(), folded, 1, CLOSE):
+    """The name in `known` that `text` misspells, else the only one that it abbreviates, reorders or shares a word with; or ""."""
+    low, folded = text.lower(), {name.lower(): name for name in known}
+    one_letter = 1 - 1 / max(len(low), 2) - 1e-9  # ratio of a short name with one wrong letter
+    if close := get_close_matches(low, folded, 1, min(CLOSE, one_letter)):
         return folded[close[0]]
-    holding = [name for low, name in folded.items() if text.lower() in re.split(r"[^a-z0-9]+", low)]
-    return holding[0] if text and len(holding) == 1 else ""
+    words = lambda name: set(re.split(r"[^a-z0-9]+", name))
+    alike = lambda name: name.startswith(low) or sorted(name) == sorted(low) or low in words(name) or name in words(low)
+    found = [name for key, name in folded.items() if low and alike(key)]
+    return found[0] if len(found) == 1 else ""
 
 
 class UnknownName(FishmjError, KeyError):
