@@ -13,8 +13,6 @@ directions. Rows of the flow solver are studies/solver/rows/judged_*.csv, one li
 import csv
 import json
 import re
-from collections.abc import Callable
-from functools import partial
 from hashlib import sha256 as digest_of
 from pathlib import Path
 from typing import NamedTuple
@@ -160,21 +158,18 @@ def solved(rows: SolverRows) -> dict[str, dict]:
         seed, repeats = int(mine[0].get("seed", 0)), 1 + max(int(line["repeat"]) for line in mine)
         drawn = f"{rows.options} --seed {seed}" if seed else rows.options
         command = f"fishmj evaluate {name} {drawn if repeats == 3 else f'{drawn} --repeats {repeats}'}"
-        found[name] = row_of(name, mine, rows.engine, command, partial(_same, drawn))
+        found[name] = row_of(name, mine, rows.engine, command, [drawn] * len(mine))
     return found
 
 
-def _same(options: str, line: dict) -> str:
-    return options
-
-
-def row_of(name: str, lines: list[dict], engine: str, command: str, options: Callable[[dict], str]) -> dict:
-    """Row of a results.json from the figures of single trials in the flow solver; options: of a trial, without its condition."""
+def row_of(name: str, lines: list[dict], engine: str, command: str, options: list[str]) -> dict:
+    """Row of a results.json from the figures of single trials in the flow solver; options: of each trial."""
     figures = {key: np.array([float(line[key] or "nan") for line in lines]) for key in KEYS}
     speeds, after = np.array([line["speed"] for line in lines]), figures["rmse_after_arrival"]
     known = sorted(set(speeds), key=float)
     holds = (figures["arrival"] > 0) & (after <= constant("protocol", "arrival_radius"))
-    last = lines[int(np.nan_to_num(after, nan=np.inf).argmax())]
+    worst = int(np.nan_to_num(after, nan=np.inf).argmax())
+    last = lines[worst]
     trial = f"--speeds {last['speed']} --los {last['los_deg']} --repeats {int(last['repeat']) + 1}"
     seeds = ", ".join(sorted({line.get("seed", "0") for line in lines}, key=int))
     return {
@@ -189,7 +184,7 @@ def row_of(name: str, lines: list[dict], engine: str, command: str, options: Cal
             "trial": f"{name}_u{last['speed']}_los{int(last['los_deg']):03d}_r{last['repeat']}",
             "seed": int(last.get("seed", 0)),
             "rmse_after_arrival": float(last["rmse_after_arrival"]) if last["rmse_after_arrival"] else None,
-            "replay": f"fishmj evaluate {name} {options(last)} {trial} --out runs/worst_{name} --log",
+            "replay": f"fishmj evaluate {name} {options[worst]} {trial} --out runs/worst_{name} --log",
         },
         "overall": gather(figures),
         "by_speed": {u: gather({key: figures[key] for key in KEYS_BY_SPEED}, speeds == u) for u in known},
@@ -208,7 +203,7 @@ def in_other_waters() -> dict[str, dict[str, dict]]:
         commands = [f"fishmj evaluate {name} {other_options(one)} --repeats 1" for one in conditions]
         if any(judged_waters.CONDITIONS[one].changes for one in conditions):
             commands.append("python -m studies.judged_waters --list  # writes the robot")
-        options = lambda line: re.sub(" --speeds [0-9.,]+", "", other_options(line["of"]))
+        options = [re.sub(" --speeds [0-9.,]+", "", other_options(line["of"])) for line in lines]
         row = row_of(name, lines, f"tanks, {heading}", "; ".join(commands), options)
         found[f"solver, {heading}"] = {name: row}
     return found

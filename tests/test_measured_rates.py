@@ -215,7 +215,7 @@ SWIMS = {
 @pytest.mark.parametrize("sway", [True, False])
 @pytest.mark.parametrize("name", SWIMS)
 def test_a_change_of_pace_or_heading_tells_the_scale_of_a_velocity_from_a_stream(name, sway):
-    """Of a surge alone, too: a stream along the body is no free number, it changes with the heading."""
+    """A surge alone is judged, too: the part of a stream along the body changes with the heading."""
     pace, course = SWIMS[name]
     for times, words in (
         (0.5, "times the motion of x and y"),

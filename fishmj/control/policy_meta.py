@@ -213,9 +213,9 @@ def _constants(theirs: dict | None, ours: dict) -> str:
     """Constants that differ, in one clause."""
     if not theirs:
         return f"{HASHED['constants']}, {NOT_STORED}"
-    said = lambda value: f"{value:g}" if is_number(value) else shown(value).strip("'") if value is not None else "none"
+    text = lambda value: f"{value:g}" if is_number(value) else shown(value).strip("'") if value is not None else "none"
     found = [
-        f"{key} {said(theirs.get(key))}, here {said(ours.get(key))}"
+        f"{key} {text(theirs.get(key))}, here {text(ours.get(key))}"
         for key in {**theirs, **ours}
         if theirs.get(key) != ours.get(key)
     ]

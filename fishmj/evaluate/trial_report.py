@@ -98,7 +98,7 @@ def condition(result: Result) -> str:
 
 
 def start_of(trials: Trials) -> str:
-    """Words on the heading at the start: of a course that turns the fish, the angles."""
+    """Initial heading as text; for angle_of_attack, its angles from upstream."""
     if trials.task == EIGHT:
         return "start heading along the path"
     if trials.task != ANGLE:

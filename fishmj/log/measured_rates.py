@@ -86,7 +86,7 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         coarse = max(float(np.median(np.diff(v))) for v in (pose["t"], measured["t"])) > SLOW
         aside = [_smooth(v) - mean_over(v, rows) for v in ((moves * ahead.conj()).imag, sway)]
         lags = _lags(*aside)
-        if not coarse and np.std(aside[0]) > LEAST and min(lags) < -ALIKE and max(lags) < OTHER and bounds.agree < WAIVED:
+        if not coarse and np.std(aside[0]) > LEAST and _opposed(lags, bounds):
             yield (
                 NOTE,
                 f"velocity: sway runs against the pose in each beat (correlation {min(lags):.2f}): expected to the left. In the"
@@ -136,7 +136,7 @@ def turning(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             continue
         lags = _lags(seen, told)
         times = float(np.std(told) / np.std(seen))
-        if min(lags) < -ALIKE and max(lags) < OTHER and bounds.agree < WAIVED:
+        if _opposed(lags, bounds):
             yield (
                 NOTE,
                 f"{table}: {name} runs against the turns of yaw (correlation {min(lags):.2f}): expected counter-clockwise,"
@@ -171,6 +171,11 @@ def _misread(moved: dict[str, np.ndarray], seen: np.ndarray, bounds: Plausible) 
 def _lags(seen: np.ndarray, told: np.ndarray) -> list[float]:
     """Correlations of two channels, each of them delayed by each of `SEEN`."""
     return [correlation(*delayed(*pair, lag)) for lag in SEEN for pair in ((seen, told), (told, seen))]
+
+
+def _opposed(lags: list[float], bounds: Plausible) -> bool:
+    """Returns True if the correlations show channels of opposite sign, and the bounds allow a judgement of signs."""
+    return min(lags) < -ALIKE and max(lags) < OTHER and bounds.agree < WAIVED
 
 
 def _scaled(column: str, times: float, kind: str, columns: list[str]) -> str:

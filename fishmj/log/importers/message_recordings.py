@@ -147,8 +147,7 @@ def _numbers(
     Raises LogError: a column of the table is no number in some message.
     """
     decode, spec, n = decoder(path, topic, channel), table_spec(table), len(channel.messages)
-    count, texts, bad, stamped, timed = Counter[str](), set[str](), dict[str, tuple[int, Any]](), 0, False
-    odd = 0
+    count, texts, bad, stamped, timed, odd = Counter[str](), set[str](), dict[str, tuple[int, Any]](), 0, False, 0
     for i in range(n):
         content = decode(i)
         stamped += bool(own_stamp(content))
