@@ -432,6 +432,22 @@ def test_hidden_files_and_links_that_lead_outside_are_passed_over(tmp_path, brin
     assert code == 0 and names_in(tmp_path / "set") == ["run"] and "a link that leads outside; passed over" in out
 
 
+def test_what_is_left_out_beside_a_map_or_trial_folders_has_an_effect_or_is_refused(tmp_path, bring):
+    """It was passed over in silence."""
+    log, columns = lab_files.one(tmp_path / "log.csv"), tmp_path / "MAP.toml"
+    assert bring(log, "--write-map", columns, out=None)[0] == 0 and bring(log, "--columns", columns)[0] == 0
+    whole, name = columns.read_text(), "batt_V"
+    columns.write_text(f'skip = ["{name}x"]\n{whole}')
+    code, _, err = bring(log, "--columns", columns, out=tmp_path / "two")
+    assert code == 2 and f"MAP.toml: skip: no column is called '{name}x'; did you mean '{name}'?; expected of " in err
+    columns.write_text(whole)
+    for said in (f"{name}=skip", f"{name}=cmd.c1:deg"):
+        code, _, err = bring(log, "--columns", columns, "--set", said, out=tmp_path / "two")
+        assert code == 2 and f"--set {name}: no effect on files that --columns maps; state it in " in err
+    code, _, err = bring(tmp_path / "set", "--set", f"{name}=skip", out=tmp_path / "two")
+    assert code == 2 and f"--set {name}: no effect on trial folders, which are copied; leave it out" in err
+
+
 def test_a_bad_file_ends_the_import_unless_skip_bad_leaves_it_out(tmp_path, bring):
     for k in range(3):
         lab_files.one(tmp_path / "lab" / f"run{k}.csv")

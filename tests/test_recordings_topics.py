@@ -135,6 +135,43 @@ def test_a_clock_that_was_set_back_is_refused(back, tmp_path, bring):
         assert code == 2 and "/joint1/command[20]: received 9.985 s before the message in front of it" in err
 
 
+# ----------------------------------------------------------------------------------------------------------- what is left out
+def test_a_name_to_leave_out_that_a_recording_lacks_is_refused(tmp_path, bring):
+    """It was passed over in silence."""
+    message = lambda i: {"fish_id": "A"} | pose(i)
+    source = json_topics(tmp_path / "a.mcap", {"/camera/pose": message, "/load": lambda i: {"cpu_share": 0.5}})
+    told = r"skip: no topic, and no field .* is called '/laod'; did you mean '/load'\?; expected of '/camera/pose', '/load'"
+    with pytest.raises(LogError, match=told):
+        importers.read(source, skip=["/laod"])
+    assert set(importers.read(source, skip=["/load", "fish_id"])["a"].tables) == {"pose"}  # one fish; a field all the same
+    code, _, err = bring(source, "--yes", "--set", "fish_idd=skip")
+    assert code == 2 and "is called 'fish_idd'; did you mean 'fish_id'?" in err
+    topics = tmp_path / "MAP.toml"
+    topics.write_text('skip = ["fish"]\n[tables.pose]\ntopic = "/camera/pose"\ncolumns = { x = "x", y = "y", yaw = "yaw" }\n')
+    with pytest.raises(LogError, match="is called 'fish'"):
+        importers.read(source, topics=topics)
+    topics.write_text(topics.read_text().replace('"fish"', '"/camera/pose"'))
+    with pytest.raises(LogError, match="skip: '/camera/pose' is the topic of a table of the mapping"):
+        importers.read(source, topics=topics)
+    (tmp_path / "a.csv").write_text("t,x,y,yaw\n0,1,1,0\n0.1,1,1,0\n")
+    with pytest.raises(LogError, match="a topic mapping or skip is for MCAP and rosbag2"):
+        importers.read(tmp_path / "a.csv", lambda path: {}, skip=["x"])
+
+
+def test_a_name_to_leave_out_may_be_of_one_of_several_files(tmp_path, bring):
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    json_topics(lab / "a.mcap", {"/camera/pose": pose, "/imu/raw": lambda i: {"acc_x": 0.1 * i}})
+    json_recording(lab / "b.mcap", pose, "/camera/pose")
+    rows = "".join(f"{t},{a},{i}\n" for i, (t, a) in enumerate(zip(T, ANGLES[:, 0], strict=True)))
+    (lab / "c.csv").write_text("t_s,joint1_measured_rad,count\n" + rows)
+    said = ("--yes", "--set", "/imu/raw=skip", "--set", "count=skip")
+    code, _, err = bring(lab, *said)
+    assert code == 0, err
+    code, _, err = bring(lab, *said, "--set", "cuont=skip", out=tmp_path / "two")
+    assert code == 2 and "no topic, and no field that tells robots apart, is called 'cuont'" in err
+
+
 # ---------------------------------------------------------------------------------------------------- mappings and columns
 def test_two_robots_are_read_as_one_where_the_user_says_so(tmp_path, bring):
     source = json_recording(tmp_path / "a.mcap", lambda i: {"fish_id": "AB"[i % 2]} | pose(i), "/camera/pose")

@@ -19,7 +19,7 @@ from fishmj.log.dataset import write_dataset
 from fishmj.log.importers import gather, guess, guessed, other_files, registry, table_forms
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
-from fishmj.log.importers.set_option import overrides
+from fishmj.log.importers.set_option import overrides, refuse_unknown
 from fishmj.log.limits import bare, kinds_first, typed
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import SCHEMA, Trial
@@ -226,22 +226,23 @@ def _found(args: Namespace) -> ImportResult:
         raise LogError(
             f"{args.source[0]}: --topics is for MCAP and rosbag2 recordings, and there is none; leave it out, or see --columns"
         )
-    for item in mapped:
-        found.trials.append((item.name, partial(_mapped, item, args.topics, skip)))
+    found.trials += [(item.name, partial(_mapped, item, args.topics, cache)) for item in mapped]
     items = [item for item in items if item not in mapped]
     own = {item.files[0].resolve(): item.name for item in items if item.own}
-    for item in items:
-        if item.own:
-            found.trials.append((item.name, partial(gather.read_own, item.files[0], own)))
+    found.trials += [(item.name, partial(gather.read_own, item.files[0], own)) for item in items if item.own]
     foreign = [item for item in items if not item.own and item.files]
-    if mapped and not foreign and (unused := next((name for name in stated if name not in skip), "")):
-        told = "read by its topics; --format table reads it by its columns, or write a mapping (--topics)"
-        raise LogError(f"{mapped[0].files[0]}: --set {typed(unused)}: no effect on a recording that is {told}")
+    unused = next((name for name in stated if name not in cache.left and not (mapped and name in skip)), "")
+    if unused and (args.columns if foreign else mapped or own):
+        told = "a recording that is read by its topics; --format table reads it by its columns, or write a mapping (--topics)"
+        told = told if mapped else "trial folders, which are copied; leave it out"
+        told = f"files that --columns maps; state it in {args.columns}" if foreign else told
+        raise LogError(f"{args.source[0]}: --set {typed(unused)}: no effect on {told}")
     if args.columns:
         wanted = read_map(args.columns)
+        known = {column for item in foreign for sheet in cache.sheets_of(item) for column in sheet.columns}
+        refuse_unknown(args.columns, wanted.skip if foreign else (), known, "column")
         found.maps.append(wanted)
-        for item in foreign:
-            found.trials.append((item.name, partial(_convert, item, cache, wanted)))
+        found.trials += [(item.name, partial(_convert, item, cache, wanted)) for item in foreign]
     elif foreign:
         _guessed(foreign, cache, args, found)
     if found.trials and not foreign and not mapped:
@@ -254,7 +255,7 @@ def _found(args: Namespace) -> ImportResult:
 
 def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace, found: ImportResult) -> None:
     """Guesses a column map for every layout of files."""
-    said = {name: value for name, value in overrides(args.set).items() if name not in cache.left}
+    said = overrides(args.set)
     for group in gather.layouts(items, cache).values():
         kinds = guess.kinds(sheet for item in group for sheet in cache.sheets_of(item))
         here = {name: value for name, value in said.items() if any(kind.called(name) for kind in kinds)}
@@ -279,10 +280,12 @@ def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace,
             )
         for item in group:
             found.trials.append((item.name, partial(_convert, item, cache, wanted)))
-    if unknown := [name for name in said if not any(kind.called(name) for kinds, _ in found.guesses for kind in kinds)]:
-        guess.guess(
-            [kind for kinds, _ in found.guesses for kind in kinds], {name: said[name] for name in unknown}
-        )  # names the nearest
+    every = [kind for kinds, _ in found.guesses for kind in kinds]
+    called = {name for name in said if any(kind.called(name) for kind in every)}
+    cache.left |= {name for name in called if not table_forms.may_tell_apart(name)}  # a recording beside may need these, too
+    known = {*called, *cache.left, *(cache.skip if found.format != TABLE else ())}  # that recording tells if it has them
+    if unknown := {name: value for name, value in said.items() if name not in known}:
+        guess.guess(every, unknown)  # names the nearest
 
 
 def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> ImportResult:
@@ -319,10 +322,10 @@ def _line(message: str) -> str:
     return clean if len(clean) <= LONGEST else clean[: LONGEST - 3] + "..."
 
 
-def _mapped(item: gather.Item, topics: Path | None, skip: frozenset[str]) -> Trial:
-    """Reads a recording by its mapping of topics."""
-    read = registry.FORMATS[registry.sniff(item.files[0])].read
-    return replace(next(iter(read(item.files[0], topics, skip).values())), name=item.name)
+def _mapped(item: gather.Item, topics: Path | None, cache: gather.FileCache) -> Trial:
+    """Reads a recording by its mapping of topics, without what is left out and is not of other files only."""
+    skip = cache.skip - cache.left | cache.topics_left.get(item.files[0], set())
+    return replace(next(iter(importers.read(item.files[0], topics=topics, skip=skip).values())), name=item.name)
 
 
 def _convert(item: gather.Item, cache: gather.FileCache, wanted: ColumnMap) -> Trial:

@@ -48,6 +48,7 @@ class FileCache:
     columns: bool = False  # recordings are read by their columns, whatever their topics are called
     skip: frozenset[str] = frozenset()  # names of files, topics and columns that the user leaves out
     left: set[str] = field(default_factory=set)  # those of them that were found
+    topics_left: dict[Path, set[str]] = field(default_factory=dict)  # those that are topics of a recording with a mapping
     skipped: dict[str, str] = field(default_factory=dict)  # file -> why it was not read
     _kept: dict[Path, list[Sheet]] = field(default_factory=dict)
     _mapped: dict[Path, bool] = field(default_factory=dict)
@@ -76,6 +77,8 @@ class FileCache:
         if path not in self._mapped:
             found = (rosbag2 if rosbag2.sniff(path) else mcap).channels(path)
             self._mapped[path] = bool(message_recordings.named_like_tables(found, self.skip).tables)
+            self.topics_left[path] = set(self.skip & found.keys()) if self._mapped[path] else set()
+            self.left |= self.topics_left[path]
         return self._mapped[path]
 
     def leaves(self, path: Path, notes: list[str]) -> bool:

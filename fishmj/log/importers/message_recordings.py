@@ -6,6 +6,7 @@ Any other recording is read by its columns (`message_sheets.py`). Nothing of a r
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from fishmj.log.importers.decoding import Found, TopicChannel, decoder, is_odd_s
 from fishmj.log.importers.message_sheets import DAY, FOREIGN, ODD, UNSTAMPED, listed
 from fishmj.log.importers.quaternion import heading
 from fishmj.log.importers.registry import trial_of
+from fishmj.log.importers.set_option import refuse_unknown
 from fishmj.log.importers.topics import RECEIPT, UNITS, MessageField, Topic, Topics, by_name, table_of
 from fishmj.log.limits import bare, quoted, typed
 from fishmj.log.trial import Table, Trial, table_spec
@@ -39,6 +41,7 @@ class _Read:
     clock: str
     notes: list[str]
     apart: dict[str, str]
+    labels: frozenset[str]  # fields that may tell robots apart
 
     @property
     def foreign(self) -> bool:
@@ -56,8 +59,8 @@ def mapped(
         notes: remarks of the file's reader.
         skip: topics, and fields that tell robots apart, which the user leaves out, beside those of the mapping.
 
-    Raises LogError: a topic, field or value does not match the mapping, or a topic is left out that may hold data of a table;
-    file:topic[message]:field.
+    Raises LogError: a topic, field or value does not match the mapping or `skip`, or a topic is left out that may hold data of a
+    table; file:topic[message]:field.
     """
     skip, read = {*skip, *wanted.skip}, {}
     told = _left_out(path, found, wanted, skip) if own is None and wanted.named else []
@@ -71,6 +74,10 @@ def mapped(
             at_top = f"skip = {toml.inline([several[0]])} at the top of the mapping of topics"
             say = f"--set {typed(several[0])}=skip" if wanted.named else at_top
             raise LogError(f"{path}:{entry.topic}: {several[1]}, or {say} to read them as one")
+    if both := sorted(skip & {entry.topic for entry in wanted.tables.values()}):
+        raise LogError(f"{path}: skip: {quoted(both[0])} is the topic of a table of the mapping; take it out of one of them")
+    known = {*found, *chain(*(one.labels for one in read.values()))}
+    refuse_unknown(path, skip, known, "topic, and no field that tells robots apart,")
     foreign = {name for name, one in read.items() if one.foreign}
     for name in sorted(foreign) if foreign < set(read) else ():
         told.append(f"{wanted.tables[name].topic}: {FOREIGN}")
@@ -214,7 +221,8 @@ def _columns(path: Path, table: str, entry: Topic, channel: TopicChannel) -> _Re
         notes.append(f"{entry.topic}: {n - len(rows)} of {n} messages left out: not all of its joints are named")
     values = np.array(rows, float).reshape(len(rows), len(fields)).T.copy()
     columns = dict(zip(fields, values, strict=True))
-    return _Read(stamps, receipts, at, columns, str(clock), notes, table_forms.told_apart(labels))
+    apart = table_forms.told_apart(labels)
+    return _Read(stamps, receipts, at, columns, str(clock), notes, apart, frozenset(chain(*labels)))
 
 
 def _dig(where: str, content, wanted: MessageField) -> tuple[Any, str]:

@@ -1,6 +1,6 @@
 """The formats by name, `read`, which detects the format, and `trial_of`, the final checks of every reader."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -20,7 +20,7 @@ from fishmj.log.unread_rows import UNREAD, left_out
 class Importer:
     """A format: a module with `sniff(path) -> bool`, cheap, never raising on foreign bytes, and `read(path) -> {name: Trial}`.
 
-    A new format is one such file and one row below. topics: `read` takes a topic mapping, too.
+    A new format is one such file and one row below. topics: `read` takes a topic mapping and what is left out, too.
     """
 
     name: str
@@ -100,13 +100,16 @@ Advised = Callable[[str, Implausible], str]  # (table, doubt) -> one line
 Format = str | Callable[[Path], "dict[str, Trial] | Trial"] | None
 
 
-def read(path: str | Path, format: Format = None, *, topics: str | Path | None = None) -> dict[str, Trial]:
+def read(
+    path: str | Path, format: Format = None, *, topics: str | Path | None = None, skip: Collection[str] = ()
+) -> dict[str, Trial]:
     """Trials by name from a file or folder in a foreign format.
 
     Args:
         format: one of `FORMATS`; the user's own reader, `function(path)` or, as typed, module:function, file.py:function or an
             entry point of fishmj.importers (docs/simulate/your_own_code.md); detected if None.
         topics: for "mcap" and "rosbag2": the TOML that maps topics to tables.
+        skip: for these: topics to leave out, and fields that tell robots apart and are ignored.
 
     Raises:
         LogError: nothing there, unknown format, or a breach of it at file:line:column with the fix.
@@ -114,13 +117,13 @@ def read(path: str | Path, format: Format = None, *, topics: str | Path | None =
     """
     path = Path(path)
     if callable(format) or (format is not None and format not in FORMATS):
-        return _own(path, format, topics)
+        return _own(path, format, topics or skip)
     name = format or sniff(path)
-    if topics and not FORMATS[name].topics:
-        raise LogError(f"{path}: a topic mapping is for MCAP and rosbag2 recordings only, this is {name}; leave it out")
+    if (topics or skip) and not FORMATS[name].topics:
+        raise LogError(f"{path}: a topic mapping or skip is for MCAP and rosbag2 recordings only, this is {name}; leave it out")
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
-    trials = FORMATS[name].read(path, topics) if FORMATS[name].topics else FORMATS[name].read(path)
+    trials = FORMATS[name].read(path, topics, skip) if FORMATS[name].topics else FORMATS[name].read(path)
     if not trials:
         raise LogError(f"{path}: nothing in format {name} ({FORMATS[name].about}) found there")
     return trials
@@ -132,7 +135,7 @@ def _own(path: Path, format: Any, topics) -> dict[str, Trial]:
     reader = plugins.load("importer", format, FORMATS) if isinstance(format, str) else format
     plugins.takes(what, reader, "read(path)", 1)
     if topics:
-        raise LogError(f"{path}: a topic mapping is for MCAP recordings only; leave it out")
+        raise LogError(f"{path}: a topic mapping or skip is for MCAP and rosbag2 recordings only; leave it out")
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
     found = plugins.call(f"{what} on {path}", reader, path)

@@ -1,8 +1,9 @@
-"""The option --set: the user's statements of places, units and scales of columns."""
+"""The option --set: the user's statements of places, units and scales of columns, and of what to leave out."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from pathlib import Path
 
-from fishmj.base.errors import LogError, UnknownName
+from fishmj.base.errors import LogError, UnknownName, closest_name
 from fishmj.log.importers.column_map import is_column
 from fishmj.log.importers.column_units import unit_of
 from fishmj.log.importers.sheet import DATE
@@ -41,3 +42,12 @@ def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
             raise LogError(f"{where}: scale {quoted(factor)}; expected a positive number, such as px*0.0012")
         out[column.strip()] = (place, DATE if unit == DATE else unit_of(unit), scale)
     return out
+
+
+def refuse_unknown(path: Path, skip: Collection[str], known: Collection[str], what: str) -> None:
+    """Raises LogError if a name in `skip` is none of the known names of `what`."""
+    if unknown := sorted(set(skip).difference(known)):
+        near = closest_name(unknown[0], known)
+        hint = f"; did you mean {quoted(near)}?" if near else ""
+        has = ", ".join(map(quoted, sorted(known)))[:300] or "none"
+        raise LogError(f"{path}: skip: no {what} is called {quoted(unknown[0])}{hint}; expected of {has}. Mend it or take it out")
