@@ -1,5 +1,7 @@
 """Topics of a recording: those that are named like tables, those beside them, their clocks, and mappings of topics."""
 
+import json
+
 import lab_files
 import numpy as np
 import pytest
@@ -20,6 +22,8 @@ from robot_recordings import (
 
 from fishmj.base.errors import LogError
 from fishmj.log import importers
+from fishmj.log.importers import message_sheets
+from fishmj.log.importers.decoding import TopicChannel
 
 JOINTS = ("joint_1", "joint_2", "joint_3")
 
@@ -195,6 +199,33 @@ def test_numbers_as_text_and_long_lists_of_a_topic_are_told(tmp_path, bring):
     assert code == 2 and "yaw: its cells are text, such as '2.0'" in err
     code, out, _ = bring(json_recording(tmp_path / "b.mcap", lambda i: pose(i) | {"ranges": [1.0] * 80}, "/camera/fish"), "--yes")
     assert code == 0 and "/camera/fish: lists are read to 64 values" in out
+
+
+@pytest.mark.parametrize(
+    ("message", "column"),
+    [
+        (lambda i: {"fish": {"x": 1.2 + 0.1 * T[i], "y": 0.6, "yaw": str(YAW[i])}}, "fish.yaw"),
+        (lambda i: {"name": ["1", "2"], "position": [ANGLES[i, 0], str(ANGLES[i, 1])]}, "joint.2"),
+        (lambda i: {"name": ["1", "2"], "angle": [ANGLES[i, 0], str(ANGLES[i, 1])]}, "angle.2"),
+    ],
+)
+def test_numbers_as_text_within_a_message_are_asked_about(message, column, tmp_path, bring):
+    """They were passed over in silence."""
+    code, out, err = bring(json_recording(tmp_path / "a.mcap", message, "/camera/fish"), "--yes")
+    assert code == 2 and f"{column}: its cells are text, such as '" in err and "name" not in out, (out, err)
+
+
+def test_numbers_as_text_in_messages_of_a_standard_type_are_columns_without_numbers(tmp_path):
+    """Some ended the reading with an error of Python."""
+    messages = {
+        "sensor_msgs/msg/BatteryState": ({"voltage": "7.4", "current": -1.0}, {"voltage"}),
+        "std_msgs/msg/Float64MultiArray": ({"data": [1.0, "2.0", None]}, {"data.1"}),
+        "trajectory_msgs/msg/JointTrajectory": ({"joint_names": ["a", "b"], "points": [{"positions": [0.1, "x"]}]}, set()),
+    }
+    for kind, (content, text) in messages.items():
+        channel = TopicChannel("json", kind, [(stamp(i), stamp(i), json.dumps(content).encode()) for i in range(ROWS)])
+        (sheet,), _ = message_sheets.readable(tmp_path / "a.mcap", {"/a": channel})
+        assert sheet.text.keys() == text and text <= sheet.columns.keys()
 
 
 def test_a_number_beside_the_others_that_is_called_a_stamp_is_the_clock(tmp_path, bring):

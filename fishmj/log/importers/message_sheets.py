@@ -12,7 +12,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log.importers import header, table_forms
-from fishmj.log.importers.decoding import Found, TopicChannel, converted, decoder, is_odd_stamp, names_in, own_stamp
+from fishmj.log.importers.decoding import NAMES, Found, TopicChannel, converted, decoder, is_odd_stamp, names_in, own_stamp
 from fishmj.log.importers.joint_names import STATE, column_of
 from fishmj.log.importers.sheet import DATE, Sheet, checked
 from fishmj.log.limits import quoted
@@ -152,11 +152,11 @@ def _rows(path: Path, topic: str, channel: TopicChannel) -> _Rows | None:
         out.notes[CUT] += channel.type not in SINGLE and _is_cut(content)
         labels.append(table_forms.labels(content))
         if channel.type == TRAJECTORY:
-            row = _trajectory(where, content, out.notes)
+            row = _trajectory(where, content, out)
         else:
-            row = _joints(where, content, out.notes) if _is_joint_state(content) else _spread(channel.type, content, out.text)
+            row = _joints(where, content, out) if _is_joint_state(content) else _spread(channel, content, out.text)
         keys |= row.keys()
-        if len(keys) > WIDTH * WIDTH:
+        if len(keys) + len(out.text) > WIDTH * WIDTH:
             raise LogError(f"{where}: over {WIDTH * WIDTH} different fields; map the ones you need with --topics")
         out.receipts.append(log_time)
         out.values.append(row)
@@ -212,8 +212,10 @@ def _unnamed(columns: Iterable[str]) -> dict[str, str]:
     return {f"joint.{name}": why for name in placed} if len(placed) < len(joints) else {}
 
 
-def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = None) -> dict[str, float]:
-    """Numbers by their path; a list beside a list of equally many names by these names."""
+def _flat(
+    value, prefix: str = "", depth: int = 0, names: list[str] | None = None, *, text: dict[str, str] | None = None
+) -> dict[str, float]:
+    """Numbers by their path, a list beside a list of equally many names by these names; those written as text into `text`."""
     out: dict[str, float] = {}
     if depth > DEPTH:
         return out
@@ -221,25 +223,32 @@ def _flat(value, prefix: str = "", depth: int = 0, names: list[str] | None = Non
         names = names_in(value) or names
         for key, item in list(value.items())[: WIDTH * 4]:
             if key not in ("header", "covariance") and (key != "stamp" or not isinstance(item, dict)):
-                out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1, names)
+                out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1, names, text=text)
     elif isinstance(value, list):
         names = names if names and len(names) == len(value) else _names_of(value)
         keys = names or range(len(value))
         for key, item in list(zip(keys, value, strict=True))[:WIDTH]:
-            out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1)
-    elif isinstance(value, bool | int | float) and abs(value) < 1e300:
-        out[prefix or "value"] = float(value)
+            out |= _flat(item, f"{prefix}.{str(key)[:80]}".lstrip("."), depth + 1, text=text)
+    else:
+        _put(prefix or "value", value, out, {} if text is None else text)
     return out
 
 
-def _spread(kind: str, content: dict, text: dict[str, str]) -> dict[str, float]:
-    """Numbers of one message by their path; those that are written as text are put into `text`."""
-    if kind in _TYPED:
-        return _TYPED[kind](content)
-    for key, value in content.items():
-        if isinstance(value, str) and _NUMBER.fullmatch(value) and not table_forms.may_tell_apart(key[:80]):
-            text.setdefault(key[:80], value)
-    return _flat(content)
+def _put(key: str, value, numbers: dict[str, float], text: dict[str, str]) -> None:
+    """Puts a value into `numbers`, or into `text` if it is a number that is written as text and no name or identity."""
+    if isinstance(value, bool | int | float) and abs(value) < 1e300:
+        numbers[key] = float(value)
+    elif isinstance(value, str) and _NUMBER.fullmatch(value):
+        last = next((part for part in reversed(key.split(".")) if not part.isdecimal()), "")
+        if last not in (*NAMES, *NAMED) and not table_forms.may_tell_apart(last):
+            text.setdefault(key, value)
+
+
+def _spread(channel: TopicChannel, content: dict, text: dict[str, str]) -> dict[str, float]:
+    """Numbers of one message by their path, or as its type has them; those that are written as text are put into `text`."""
+    typed = _TYPED.get(channel.type)
+    flat = _flat(content, text=text) if typed is None or channel.encoding == "json" else {}
+    return flat if typed is None else typed(content)
 
 
 def _is_cut(value, depth: int = 0) -> bool:
@@ -266,7 +275,7 @@ def _is_joint_state(content: dict) -> bool:
     return isinstance(content.get("name"), list) and any(isinstance(content.get(key), list) for key in STATE)
 
 
-def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
+def _joints(where: str, content: dict, read: _Rows) -> dict[str, float]:
     """Columns `joint.NAME`, `joint.NAME.velocity`, `joint.NAME.effort` by the message's own names, by position if it has none.
 
     Raises LogError: a name appears twice, or there are positions for some of the names only.
@@ -274,7 +283,7 @@ def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
     names = names_in(content) or []
     if len(set(names)) < len(names):
         raise LogError(f"{where}: joint {quoted(max(names, key=names.count))} is named twice; record it again")
-    out = {}
+    out: dict[str, float] = {}
     for key in STATE:
         values = content.get(key)
         if not isinstance(values, list) or not values:
@@ -282,15 +291,14 @@ def _joints(where: str, content: dict, notes: Counter) -> dict[str, float]:
         if names and len(values) != len(names):
             if key == "position":
                 raise LogError(f"{where}: {len(values)} positions for {len(names)} names: which joint is which? Record it again")
-            notes[f"{key} not read, its list is not as long as that of the names"] += 1
+            read.notes[f"{key} not read, its list is not as long as that of the names"] += 1
             continue
         for name, value in zip(names or map(str, range(1, len(values) + 1)), values, strict=True):
-            if isinstance(value, int | float) and abs(value) < 1e300:
-                out[column_of(name[:80], key)] = float(value)
+            _put(column_of(name[:80], key), value, out, read.text)
     return out
 
 
-def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
+def _trajectory(where: str, content: dict, read: _Rows) -> dict[str, float]:
     """Columns `command.NAME` by the message's own names: the angles of its first point.
 
     Raises LogError: there are angles for some of the names only.
@@ -299,8 +307,11 @@ def _trajectory(where: str, content: dict, notes: Counter) -> dict[str, float]:
     values = points[0].get("positions") or []
     if len(values) != len(names) or len(set(names)) < len(names):
         raise LogError(f"{where}: {len(values)} positions for the names {', '.join(map(quoted, names))}; record it again")
-    notes[PLANS] += len(points) > 1
-    return {f"command.{name[:80]}": float(value) for name, value in zip(names, values, strict=True)}
+    read.notes[PLANS] += len(points) > 1
+    out: dict[str, float] = {}
+    for name, value in zip(names, values, strict=True):
+        _put(f"command.{name[:80]}", value, out, read.text)
+    return out
 
 
 def _battery(content: dict) -> dict[str, float]:
@@ -328,7 +339,8 @@ def _imu(content: dict) -> dict[str, float]:
 
 def _array(content: dict) -> dict[str, float]:
     values = content.get("data")
-    return {f"value.{i}": float(v) for i, v in enumerate(values[:WIDTH] if isinstance(values, list) else (), start=1)}
+    shown = enumerate(values[:WIDTH] if isinstance(values, list) else (), start=1)
+    return {f"value.{i}": float(v) for i, v in shown if isinstance(v, int | float)}
 
 
 _TYPED: dict[str, Callable[[dict], dict[str, float]]] = {
