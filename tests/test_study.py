@@ -180,6 +180,7 @@ def test_leave_one_out_keeps_nothing_aside(coasting, capsys):
 DAMAGED = [
     ("plant", ('plant = "coast"', 'plant = "ship"'), "plant: got 'ship', expected 'body', 'servo' or 'coast'"),
     ("key", ("[columns]", "[colums]"), "colums: unknown key (did you mean 'columns'?)"),
+    ("key_case", ("[columns]", "[COLUMNS]"), "COLUMNS: unknown key (did you mean 'columns'?)"),
     ("unit", ('unit = "m/s"', 'unit = "parsec"'), "[columns] speed"),
     ("kind", ('unit = "m/s"', 'unit = "m"'), "which measures length, expected m/s"),
     ("no unit", (', unit = "s" }', " }"), "[columns] t: got no unit"),

@@ -6,13 +6,13 @@
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from math import pi, radians
 from typing import Any
 
 from pydantic import ValidationError
 
 from fishmj.base import names
+from fishmj.base.errors import closest_name
 from fishmj.mjcf.description_schema import BLOCKS, FREE, LISTS, SCHEMA, Description, KeyFault, header, keys, line, said, shown
 from fishmj.mjcf.relations import relations, servo_of, unlikely
 
@@ -44,7 +44,7 @@ def _foreign(table: Mapping[str, Any]) -> str:
     """The keys of a table that has no block of a robot, not even a mistyped one; otherwise empty."""
     own = {"schema", *BLOCKS}
     unknown = [key for key in table if key not in keys()]
-    if not unknown or own & table.keys() or any(get_close_matches(key, keys(), 1, 0.6) for key in unknown):
+    if not unknown or own & table.keys() or any(closest_name(key, keys()) for key in unknown):
         return ""
     return shown(", ".join(unknown))
 
@@ -66,9 +66,7 @@ def _single_keys(table: Mapping[str, Any]) -> Iterator[KeyFault]:
     except ValidationError as error:
         faults: dict[tuple, KeyFault] = {}
         entries = error.errors(include_url=False, include_context=False)
-        meant = {
-            (*e["loc"][:-1], near[0]) for e in entries[:MOST] if e["type"] == "extra_forbidden" and (near := _nearest(e["loc"]))
-        }
+        meant = {(*e["loc"][:-1], _nearest(e["loc"])) for e in entries[:MOST] if e["type"] == "extra_forbidden"}
         for entry in entries:
             if entry["type"] == "missing" and entry["loc"] in meant:
                 continue  # mistyped, which is another line
@@ -79,10 +77,10 @@ def _single_keys(table: Mapping[str, Any]) -> Iterator[KeyFault]:
         yield from faults.values()
 
 
-def _nearest(place: Sequence[Any]) -> list[str]:
-    """The known key of a block that an unknown one is nearest to."""
+def _nearest(place: Sequence[Any]) -> str:
+    """The known key of a block that an unknown one is nearest to, or ""."""
     block, _, key, _ = _split(place)
-    return get_close_matches(key, keys(block), 1, 0.6) if block in BLOCKS and key else []
+    return closest_name(key, keys(block)) if block in BLOCKS and key else ""
 
 
 def _finding(entry: Mapping[str, Any], table: Mapping[str, Any]) -> KeyFault:
@@ -156,24 +154,24 @@ def _unknown(block: str, index: int | None, key: str, table: Mapping[str, Any]) 
     name, own = shown(key)[1:-1], "your own notes go into [notes], [origin] or [measured]"
     if block:
         known = keys(block)
-        near, home = get_close_matches(key, known, 1, 0.6), _home(key, block)
+        near, home = closest_name(key, known), _home(key, block)
         todo = f"it belongs under {home}; a key belongs to the last [block] above it" if home and not near else own
         return KeyFault(block, index, name, "an unknown key", _one_of(near, known), todo)
     blocks = [k for k in keys() if k not in ("schema", "name", "title")]
     if not isinstance(table[key], Mapping | list):
-        near, home = get_close_matches(key, keys(), 1, 0.6), _home(key)
+        near, home = closest_name(key, keys()), _home(key)
         if home and not near:
             return KeyFault("", None, name, "a key at the top of the file", f"it under {home}", "move it below that line")
         return KeyFault("", None, name, "an unknown key", _one_of(near, ["schema", "name", "title", "notes"]), own)
-    near = get_close_matches(key, blocks, 1, 0.6)
-    expected = _one_of([header(k) for k in near], [header(k) for k in blocks], quote=False)
+    near = closest_name(key, blocks)
+    expected = _one_of(near and header(near), [header(k) for k in blocks], quote=False)
     return KeyFault("", None, f"[{name}]", "an unknown block", expected, own)
 
 
-def _one_of(near: Sequence[str], known: Sequence[str], *, quote: bool = True) -> str:
+def _one_of(near: str, known: Sequence[str], *, quote: bool = True) -> str:
     """Known names in words, the nearest first."""
-    others = ", ".join(k for k in known if k not in near)
-    return f"{repr(near[0]) if quote else near[0]} or another of {others}" if near else f"one of {others}"
+    others = ", ".join(k for k in known if k != near)
+    return f"{repr(near) if quote else near} or another of {others}" if near else f"one of {others}"
 
 
 def _home(key: str, but: str = "") -> str:

@@ -7,7 +7,6 @@ Nothing of a study is ever run: names of files are matched letter by letter, col
 """
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
@@ -17,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from fishmj import effects
 from fishmj.base.calib import read_toml, shown_path
-from fishmj.base.errors import ConfigError, DescriptionError, LogError
+from fishmj.base.errors import ConfigError, DescriptionError, LogError, closest_name
 from fishmj.base.names import nearest
 from fishmj.gap.measured import planar_body, servo_model
 from fishmj.gap.measured.decoy_terms import COAST_RIVALS, RIVALS
@@ -274,8 +273,8 @@ def _lines(error: ValidationError, where: str) -> list[str]:
 
 
 def _near(key: str, known: list[str]) -> str:
-    found = get_close_matches(key, known, 1, 0.6)
-    return f" (did you mean {found[0]!r}?)" if found else ""
+    near = closest_name(key, known)
+    return f" (did you mean {near!r}?)" if near else ""
 
 
 def _field_at(keys: list[str]) -> tuple[FieldInfo | None, list[str]]:
