@@ -83,24 +83,11 @@ def velocity(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     if found is None and (above or 0 < fast * bounds.agree < least > 2 * MOVES and swims):
         found = "", fast / max(pace, MOVES), 1.0
     if found is None:
-        coarse = max(float(np.median(np.diff(v))) for v in (pose["t"], measured["t"])) > SLOW
-        aside = [_smooth(v) - mean_over(v, rows) for v in ((moves * ahead.conj()).imag, sway)]
-        lags = _lags(*aside)
-        if not coarse and np.std(aside[0]) > LEAST and _opposed(lags, bounds):
-            yield (
-                NOTE,
-                f"velocity: sway runs against the pose in each beat (correlation {min(lags):.2f}): expected to the left. In the"
-                " map give columns.sway sign = -1; or its stamps are half a beat off, or it is of another point of the body",
-            )
+        if max(float(np.median(np.diff(v))) for v in (pose["t"], measured["t"])) <= SLOW:
+            yield from _sway_against((moves * ahead.conj()).imag, sway, rows, bounds)
         off = min(float(abs(np.mean(seen - moved[""] - stream))) for stream in (0.0, carried))
-        judged = not sound and known is not False and bounds.agree < WAIVED
-        if judged and off > max(LEAST, (1 - 1 / bounds.agree) * max(fast, pace)):
-            yield (
-                NOTE,
-                f"velocity: it is off the way of the pose by a steady {off:.2g} m/s ({fast:.2g} m/s for {pace:.2g} m/s), and no"
-                " change of pace or heading tells why: is it through the water of a stream that is not stated, or of another"
-                f" scale or sign? State the water, flow in [meta] or --flow, or mend {_names(names)} in the map",
-            )
+        if not sound and known is not False:
+            yield from _steadily_off(off, fast, pace, names, bounds)
         return
     reading, times, fit = found
     if reading:
@@ -166,6 +153,29 @@ def _misread(moved: dict[str, np.ndarray], seen: np.ndarray, bounds: Plausible) 
     if bounds.agree < WAIVED and fits[best] > SURE and (1 - fits[best]) * CLEARER < 1 - fits[""]:
         return best, times, fits[""]
     return ("", times, fits[""]) if fits[""] > SURE else None
+
+
+def _sway_against(seen: np.ndarray, told: np.ndarray, rows: int, bounds: Plausible) -> Iterator[tuple[str, str]]:
+    """A finding on a measured sway (T,) m/s that runs against the pose's in each beat; rows: of the mean taken from both."""
+    aside = [_smooth(v) - mean_over(v, rows) for v in (seen, told)]
+    lags = _lags(*aside)
+    if np.std(aside[0]) > LEAST and _opposed(lags, bounds):
+        yield (
+            NOTE,
+            f"velocity: sway runs against the pose in each beat (correlation {min(lags):.2f}): expected to the left. In the"
+            " map give columns.sway sign = -1; or its stamps are half a beat off, or it is of another point of the body",
+        )
+
+
+def _steadily_off(off: float, fast: float, pace: float, names: list[str], bounds: Plausible) -> Iterator[tuple[str, str]]:
+    """A finding on a velocity that is `fast` and `off` the pose's `pace`, all in m/s, by more than the bounds allow."""
+    if bounds.agree < WAIVED and off > max(LEAST, (1 - 1 / bounds.agree) * max(fast, pace)):
+        yield (
+            NOTE,
+            f"velocity: it is off the way of the pose by a steady {off:.2g} m/s ({fast:.2g} m/s for {pace:.2g} m/s), and no"
+            " change of pace or heading tells why: is it through the water of a stream that is not stated, or of another"
+            f" scale or sign? State the water, flow in [meta] or --flow, or mend {_names(names)} in the map",
+        )
 
 
 def _lags(seen: np.ndarray, told: np.ndarray) -> list[float]:
