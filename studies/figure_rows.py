@@ -243,6 +243,26 @@ def other_waters(label: str) -> list[float]:
     return [*(number for pair in arrived for number in pair), *rmse, *last, *speeds, *worst]
 
 
+def seeds(label: str) -> list[float]:
+    """`1` -> in the reference: arrivals, trials, RMSE after arrival with its interval, of the last 20 s, worst [m].
+
+    Then RMSE after arrival at 0 to 0.04 m/s and in cells of 1.5 cm [m], and arrivals and trials at slip 0.97.
+    """
+    name = NAME if "ships" in label else f"seed {label}"
+    files = SOLVED / "judged_reference.csv", HERE / "training" / "rows" / "judged_station_family.csv"
+    rows = [row for file in files for row in table(file) if (row["controller"], row["seed"]) == (name, "9")]
+    by_water = lambda water, key: column([row for row in rows if row["water"] == water], key)
+    after, slippery = by_water("reference-2", "rmse_after_arrival"), by_water("paper slip 0.97", "arrival")
+    found, arrival = estimate("rmse_after_arrival", after), by_water("reference-2", "arrival")
+    others = [
+        float(np.nanmean(by_water(water, "rmse_after_arrival")))
+        for water in ("reference-2, 0 to 0.04 m/s", "paper 1.5 cm slip 0.985")
+    ]
+    last = float(np.nanmean(by_water("reference-2", "rmse_last20")))
+    own = [arrival.sum(), len(arrival), found.value, found.low, found.high, last, float(np.nanmax(after))]
+    return [*own, *others, slippery.sum(), len(slippery)]
+
+
 def shapes(label: str) -> list[float]:
     """Swims of the shapes whose speeds agree within a factor of 1.5, and their number, at the slip ratios 0.99 and 1."""
     rows = [row for row in table(FITTED / "new_shapes_laptop.csv") if row["ratio"] and not row["measured_m_s"]]
