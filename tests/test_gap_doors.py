@@ -355,7 +355,7 @@ def test_help_shows_an_example(command, capsys):
         ("tooth", "unknown effect"),
         ("bouc_wen_skin=1000", "expected 0 to 4 N m"),
         ("tether:stiffness", "no finite number"),
-        ("tether=0.1 tether=0.2", "there already"),
+        ("tether=0.1 tether=0.2", "given twice"),
     ],
 )
 def test_an_effect_beyond_its_bounds_is_not_planted(text, says, tmp_path, capsys):
@@ -372,7 +372,7 @@ def test_data_are_not_planted_into_what_is_there_already(logs, tmp_path, capsys,
         (logs, [], "exists"),
         (logs, ["--overwrite", "--excitations", "gait", "--logs", "1"], "trials that this run does not write"),
         (logs / "new", [], "inside"),
-        (tmp_path / "full", ["--overwrite"], "other things than a data set"),
+        (tmp_path / "full", ["--overwrite"], "is no data set, and --overwrite"),
         (tmp_path / "old", [], "--truth"),
         (tmp_path / "a b", [], "data set name 'a b'"),
         (tmp_path / "full" / "thesis.txt" / "x", [], "is a file"),

@@ -135,7 +135,7 @@ def test_a_text_that_means_nothing_is_refused(text, error, says):
 
 
 def test_the_same_effect_twice_is_refused():
-    with pytest.raises(ConfigError, match="there already"):
+    with pytest.raises(ConfigError, match="given twice"):
         generators.parse(["body_mass=0.1", "body_mass=0.2"], 0, "foil")
 
 

@@ -7,7 +7,7 @@ from fishmj.base.errors import ConfigError
 
 
 class EffectText(NamedTuple):
-    """Parts of a text. main: value of the first parameter; listed: (parameter, value) pairs; None where the text has none."""
+    """Parsed text. main: value of the first parameter; listed: (parameter, value) pairs; None if the text has none."""
 
     name: str
     main: str | None
@@ -15,7 +15,7 @@ class EffectText(NamedTuple):
 
 
 def split_text(text: str) -> EffectText:
-    """Parts of `text`; values are not read yet."""
+    """Splits `text`; values remain text."""
     name, colon, rest = text.partition(":")
     if colon:
         pairs = [pair.partition("=") for pair in rest.split(",")]
@@ -25,7 +25,7 @@ def split_text(text: str) -> EffectText:
 
 
 def finite_number(asked: str, value: str, example: str) -> float:
-    """The number that a value is. Raises ConfigError, with `asked` ahead and an `example` to follow."""
+    """Converts `value` to a finite number. Raises ConfigError, which begins with `asked` and shows the `example`."""
     try:
         number = float(value)
     except ValueError:
@@ -36,6 +36,6 @@ def finite_number(asked: str, value: str, example: str) -> float:
 
 
 def check_range(asked: str, name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Raise ConfigError, with `asked` ahead, unless low <= value <= high."""
+    """Raises ConfigError, which begins with `asked`, unless low <= value <= high."""
     if not low <= value <= high:
         raise ConfigError(f"{asked}: {name} = {value:g}; expected {low:g} to {high:g} {unit}")

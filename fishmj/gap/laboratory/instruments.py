@@ -1,4 +1,4 @@
-"""Instruments of the laboratory: order of arrival over the radio, encoders of the joints, noise of every channel."""
+"""Instruments of the laboratory: packet order of the radio, joint encoders, noise of each channel."""
 
 from typing import Any
 
@@ -6,19 +6,19 @@ import numpy as np
 
 
 def order_of_arrival(times: np.ndarray) -> np.ndarray:
-    """Rows (K,) of packets in the order in which they arrive. times (T,): s, nan for a lost one."""
+    """Indices (K,) of the received packets in order of arrival. times (T,): s, nan for a lost packet."""
     return np.argsort(times, kind="stable")[: np.count_nonzero(~np.isnan(times))]
 
 
 def read_encoders(network: Any, angles: np.ndarray, rng: np.random.Generator, noise: float) -> dict[str, np.ndarray]:
-    """Columns j1, j2, .. of angles (K, J) [rad] with noise and in counts."""
+    """Columns j1, j2, .. of angles (K, J) [rad] with noise, rounded to encoder counts."""
     angles = angles + noise * network.angle_noise * rng.standard_normal(angles.shape)
     angles = np.round(angles / network.angle_step) * network.angle_step
     return {f"j{j + 1}": column for j, column in enumerate(angles.T)}
 
 
 def noise_sigmas(network: Any, camera: Any, meter: Any, joints: int, noise: float) -> dict[str, float]:
-    """Standard deviation of each channel's noise, counts included, in its unit."""
+    """Standard deviation of each channel's noise, quantisation included, in the channel's unit."""
     angle = float(np.hypot(noise * network.angle_noise, network.angle_step / np.sqrt(12)))
     return {
         "x": noise * camera.position_noise,

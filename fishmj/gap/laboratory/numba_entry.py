@@ -1,4 +1,4 @@
-"""Compiles the water of a blind robot: numba, NaN stays NaN, entry points cached on disk under a hash of all that is inlined."""
+"""Compiles a blind robot's water with numba: NaN propagates, entry points are cached on disk under a hash of their sources."""
 
 import hashlib
 import inspect
@@ -10,10 +10,10 @@ from fishmj.base.errors import MissingExtra
 
 
 def compilers(needed_for: str, files: Iterable[str], math: dict[str, Any], **inlining: Any) -> tuple[Callable, Callable]:
-    """(decorator of inlined functions, decorator of the functions that Python calls) of one robot.
+    """Returns the decorators of one robot: (inlined functions, entry points that Python calls).
 
-    Everything is inlined into the cached entry points. numba would notice a change of an entry point's own file only, so its
-    name in the cache holds a hash of `files` too, those with inlined functions. Raises MissingExtra: what is `needed_for` numba.
+    All functions are inlined into the cached entry points. numba detects a change of an entry point's own file only, so its
+    cached name includes a hash of `files`, which hold the inlined functions. Raises MissingExtra: no numba for `needed_for`.
     """
     try:
         from numba import njit
@@ -22,7 +22,7 @@ def compilers(needed_for: str, files: Iterable[str], math: dict[str, Any], **inl
     math = {"error_model": "numpy", **math}
 
     def entry(function):
-        """Compile and cache the function that Python calls."""
+        """Compiles and caches a function that Python calls."""
         sources = (*files, __file__, inspect.getfile(function))
         digest = hashlib.sha256(b"".join(Path(source).read_bytes() for source in sources)).hexdigest()[:16]
         function.__qualname__ = f"{function.__qualname__}_{digest}"

@@ -1,4 +1,4 @@
-"""A separate random stream for every purpose: planting one effect never changes the noise of another channel."""
+"""Separate random streams for each purpose: a planted effect never changes the noise of another channel."""
 
 import hashlib
 import zlib
@@ -18,20 +18,20 @@ def generators_stream(seed: int, purpose: str, trial: int = 0) -> np.random.Gene
 
 
 def jitter(rng: np.random.Generator) -> float:
-    """A skewed delay of zero mean and unit spread: most packets a little early, a few very late (gamma, shape 2)."""
+    """Skewed delay of zero mean and unit standard deviation: most packets slightly early, a few very late (gamma, shape 2)."""
     return (rng.gamma(2.0) - 2.0) / 2.0**0.5
 
 
 def lateness(rng: np.random.Generator) -> float:
-    """A delay of unit spread that is never early (gamma, shape 1.5; mean 1.22)."""
+    """Non-negative delay of unit standard deviation (gamma, shape 1.5; mean 1.22)."""
     return rng.gamma(1.5) / 1.5**0.5
 
 
 def gusts(rng: np.random.Generator, n: int, step: float, sigma: float, time: float, smooth: float = 0.1) -> np.ndarray:
-    """(n, 2) velocities [m/s] every `step` s with spread sigma and memory `time` s: Ornstein-Uhlenbeck, then smoothed.
+    """Gusts (n, 2) [m/s] every `step` s: smoothed Ornstein-Uhlenbeck process, standard deviation sigma, time constant `time` s.
 
-    A first-order filter (time constant `smooth` s) makes the acceleration finite; the variance lost, smooth / (time + smooth), is
-    given back.
+    A first-order filter (time constant `smooth` s) makes the acceleration finite. It removes the share smooth / (time + smooth)
+    of the variance, which a factor restores.
     """
     keep, blend = np.exp(-step / time), np.exp(-step / smooth)
     kick = np.sqrt(1.0 - keep * keep)

@@ -1,4 +1,4 @@
-"""A session in the laboratory: experiments one after another, each a trial whose meta data tell nothing of what is hidden."""
+"""Laboratory session: one trial per experiment, in order. The meta data do not reveal the hidden effects."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
@@ -9,7 +9,7 @@ from fishmj.base.source import made_by
 from fishmj.log import SCHEMA, excitation, numbered
 from fishmj.log.excitation import Excitation
 
-Effects = Mapping[str, Mapping[str, float]]  # what is hidden: effect -> its parameters -> values
+Effects = Mapping[str, Mapping[str, float]]  # hidden effects: name -> parameter -> value
 CLOCKS = {"cmd": "host, sending", "joint": "host, reading", "pose": "camera, frame received", "power": "host, reading"}
 
 
@@ -19,7 +19,7 @@ def trial_name(index: int, excitation_id: str) -> str:
 
 
 def experiments(asked: Iterable[str | Excitation], joints: int) -> Iterator[tuple[Excitation, int, str, str]]:
-    """(experiment, index, name of its trial, trial that it repeats or "") in order; those of the library for `joints` joints."""
+    """Yields (experiment, index, trial name, name of the repeated trial or ""); library experiments are for `joints` joints."""
     first: dict[str, str] = {}
     for index, item in enumerate(asked):
         what = excitation.get(item, joints) if isinstance(item, str) else item
@@ -29,7 +29,7 @@ def experiments(asked: Iterable[str | Excitation], joints: int) -> Iterator[tupl
 
 
 def place_by_hand(what: Excitation, position: float, heading: float, rng: np.random.Generator, noise: float) -> np.ndarray:
-    """(3,) start of a fish that is put there within `position` [m] and `heading` [rad]: x, y, yaw."""
+    """Start (3,) x, y, yaw of a hand-placed fish. position [m], heading [rad]: standard deviations; noise: factor on them."""
     return np.array(what.start) + noise * rng.standard_normal(3) * np.array([position, position, heading])
 
 
@@ -42,7 +42,7 @@ def trial_meta(
     robot: str, water: str, what: Excitation, replicate_of: str, flow: tuple[float, float], *, sigma: Mapping[str, float],
     clock: Mapping[str, str], engine: str, source: str, notes: str, medium: str = "water", after: dict[str, dict] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Meta data of a synthetic trial. flow: speed [m/s] and direction [rad]; after: further entries by the key they follow."""
+    """Meta data of a synthetic trial. flow: speed [m/s] and direction [rad]; after: extra entries by the key that they follow."""
     usual = {
         "schema": SCHEMA,
         "origin": "synthetic",

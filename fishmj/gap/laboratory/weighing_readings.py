@@ -1,6 +1,6 @@
-"""The weighing table of a robot: what scales, a knife edge and a bifilar pendulum say of it, with their errors.
+"""Weighing table of a robot: readings of scales, knife edge and bifilar pendulum, with their errors.
 
-scales      every link alone, m (1 + e),                    e ~ 0.1 %, readable to 1 g
+scales      every link alone, m (1 + e),                    e ~ 0.1 %, resolution 1 g
 knife edge  balance point of the straight fish, from the nose, +- 1 mm
 pendulum    straight fish on two threads of length l, d apart:   T = 4 pi sqrt(I l / (m g)) / d,   timed to 0.2 %
 """
@@ -19,7 +19,7 @@ EDGE_ERROR, CLOCK_ERROR = 0.001, 0.002  # m, relative
 def weighing_page(
     source: str, links: Mapping[str, float], balance: float, inertia: float, thread: float, apart: float, rng: np.random.Generator
 ) -> dict:
-    """The page `measurements.toml`, three readings of each measurement.
+    """Content of `measurements.toml`: three readings of each quantity.
 
     Args:
         links: kg of each. balance: m from the nose. inertia: kg m2 in yaw, about the balance point. thread, apart: m.

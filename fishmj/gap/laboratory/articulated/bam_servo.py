@@ -23,7 +23,7 @@ from fishmj.base.calib import calib_folder, read_toml
 
 
 class BamServo(NamedTuple):
-    """A servo. stiffness: of its controller, in duty per rad; volts: of its supply; duty: largest. laws: M1 to M6, SI."""
+    """Servo. stiffness: controller gain, duty per rad; volts: supply; duty: largest duty. laws: M1 to M6, SI."""
 
     stiffness: float
     volts: float
@@ -35,17 +35,17 @@ class BamServo(NamedTuple):
 def servos() -> dict[str, BamServo]:
     """The servos of data/calib/bam_servos.toml by name."""
     out = {}
-    for name, told in read_toml(calib_folder() / "bam_servos.toml").items():
-        laws = {key: value for key, value in told.items() if isinstance(value, dict)}
-        out[name] = BamServo(told["stiffness"], told["volts"], told["duty"], laws)
+    for name, entry in read_toml(calib_folder() / "bam_servos.toml").items():
+        laws = {key: value for key, value in entry.items() if isinstance(value, dict)}
+        out[name] = BamServo(entry["stiffness"], entry["volts"], entry["duty"], laws)
     return out
 
 
-LAWS = {"stribeck": ("M2",), "load_friction": ("M3", "M5", "M6"), "": ("M1",)}  # effects that are a servo's own law; none
+LAWS = {"stribeck": ("M2",), "load_friction": ("M3", "M5", "M6"), "": ("M1",)}  # effect -> laws that hold it; "": none of them
 
 
 def friction_budget(driven: Mapping[int, Mapping[str, float]], v, motor, external) -> np.ndarray:
-    """(J,) N m of friction beyond F_b and D |v|. driven: constants of some joints. external: of gravity and motion."""
+    """Friction (J,) [N m] beyond F_b and D |v|. driven: constants by joint. external: torques of gravity and motion, N m."""
     out = np.zeros(len(v))
     for k, p in driven.items():
         m, e, get = motor[k], external[k], p.get

@@ -1,4 +1,4 @@
-"""Effects and faults to hide in a quadrotor: those of any body and any command (hidden_faults.py), and those of rotors."""
+"""Effects and faults to hide in a quadrotor: those shared with arms (hidden_faults.py), and those of rotors."""
 
 from typing import Any
 
@@ -18,9 +18,9 @@ def _hover(plan: RobotPlan, usual: UsualMotion, k: int) -> float:
 
 
 def _draw_centre(rng, plan, usual, k) -> dict[str, float]:
-    way = rng.standard_normal(3) * [1.0, 1.0, 0.3]
-    way *= log_uniform(rng, 0.004, 0.02) / np.linalg.norm(way)
-    return dict(zip("xyz", map(float, way), strict=True))
+    offset = rng.standard_normal(3) * [1.0, 1.0, 0.3]
+    offset *= log_uniform(rng, 0.004, 0.02) / np.linalg.norm(offset)
+    return dict(zip("xyz", map(float, offset), strict=True))
 
 
 def _draw_tether(rng, plan, usual, k) -> dict[str, float]:
@@ -61,12 +61,12 @@ FLOWN: dict[str, Fault] = {name: FAULTS[name] for name in SHARED} | {
     "tether": Fault("robot", _draw_tether),
     "body_vibration": Fault("robot", _draw_vibration),
 }
-LEAST_LIMIT = 0.9  # of a rotor's thrust in hover
+LEAST_LIMIT = 0.9  # times a rotor's thrust in hover
 FLOWN_OUTSIDE = ("tether", "body_vibration")
 
 
 def draw_flown(name: str, rng: np.random.Generator, plan: RobotPlan, usual: UsualMotion, strength: float = 1.0) -> dict[str, Any]:
-    """{name at a drawn site: its values}, `strength` times a usual size."""
+    """Draws {name@site: values} at a random site, `strength` times the usual size."""
     fault = FLOWN[name]
     k = int(rng.integers(len(plan.rotors))) if fault.site == "actuator" else 0
     site = {"actuator": "@" + rotor(k), "body": "@" + body(k)}.get(fault.site, "")

@@ -1,9 +1,9 @@
-"""A free body with rotors: MuJoCo with edited attributes, and Pinocchio's free flyer.
+"""Free body with rotors: in MuJoCo with edited attributes, and as Pinocchio's free flyer.
 
-    plant.start(q, v, t); plant.step(u, push)  u (A,) commanded thrusts; push (6,), of no cause: N in the world, N m in the body
-    q    (7,) place in the world m, quaternion w x y z         v    (6,) m/s in the world, rad/s in the body: as MuJoCo's
+    plant.start(q, v, t); plant.step(u, push)  u (A,) commanded thrusts; push (6,), disturbance: N in the world, N m in the body
+    q    (7,) position in the world m, quaternion w x y z      v    (6,) m/s in the world, rad/s in the body, as in MuJoCo
 
-A rotor's thrust follows its command as a first-order lag, which goes on through `start`: commands do not begin anew there.
+A rotor's thrust follows its command with a first-order lag. `start` does not reset the lag, since the commands continue.
 """
 
 from typing import Any
@@ -18,21 +18,21 @@ from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan, mjcf
 
 
 class RotorLag:
-    """Commands behind a first-order lag; `at(u)` is asked once a step of h s. It begins settled at the first command."""
+    """First-order lag of the commands. Call `at(u)` once per step of h s; the lag starts settled at the first command."""
 
     def __init__(self, plan: RobotPlan, h: float):
         lag = plan.of_rotors("lag")
-        self.kept = np.where(lag > 0.0, np.exp(-h / np.where(lag > 0.0, lag, 1.0)), 0.0)
+        self.decay = np.where(lag > 0.0, np.exp(-h / np.where(lag > 0.0, lag, 1.0)), 0.0)
         self.now: np.ndarray | None = None
 
     def at(self, u: np.ndarray) -> np.ndarray:
         """(A,) lagged commands."""
-        self.now = u if self.now is None else u + (self.now - u) * self.kept
+        self.now = u if self.now is None else u + (self.now - u) * self.decay
         return self.now
 
 
 class FlownMujoco(MujocoState):
-    """MuJoCo's own free joint, sites and medium at another step and integrator than the model in question."""
+    """Free joint, sites and medium of MuJoCo, with another step and integrator than the described model."""
 
     h = 0.001
 
@@ -41,14 +41,14 @@ class FlownMujoco(MujocoState):
         self.lag, self.laws = RotorLag(plan, self.h), FreeBodyLaws(hidden)
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
-        """One step."""
+        """Advances by one step."""
         self.d.ctrl[:] = self.lag.at(u)
         self.d.qfrc_applied[:] = push + self.laws.wrench(self.d.qpos, self.d.time)
         mujoco.mj_step(self.m, self.d)
 
 
 def box_drag(plan: RobotPlan, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Quadratic drag [N] and its moment [N m] on the box of a body's inertia, by its speed (3,) in the medium and its rate (3,).
+    """Quadratic drag [N] and its moment [N m] on a body's inertia box. v, w (3,): velocity in the medium, m/s, and rate, rad/s.
 
     F_i = -rho/2 b_j b_k |v_i| v_i,  M_i = -rho/64 b_i (b_j^4 + b_k^4) |w_i| w_i, about the centre of mass     (MuJoCo's manual)
     """
@@ -62,7 +62,7 @@ def box_drag(plan: RobotPlan, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray,
 
 
 class FlownPinocchio:
-    """The interface of `FlownMujoco`: Pinocchio's articulated body algorithm, semi-implicit steps. Raises without Pinocchio."""
+    """`FlownMujoco`'s interface on Pinocchio's articulated body algorithm, semi-implicit. Raises ImportError: no Pinocchio."""
 
     h = 0.0005
 
@@ -88,7 +88,7 @@ class FlownPinocchio:
         self.q, self.v, self.t = np.array(q, float), np.array(v, float), t
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
-        """One step."""
+        """Advances by one step."""
         h, turn = self.h, self.pin.Quaternion(*self.q[3:]).matrix()  # of the body in the world
         thrust = np.clip(self.gain * self.lag.at(u) + self.offset, 0.0, self.limit)
         given = push + self.laws.wrench(self.q, self.t)

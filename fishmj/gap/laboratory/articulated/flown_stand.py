@@ -1,11 +1,11 @@
-"""A session with a quadrotor: reference flights, a controller that keeps it in the air, cameras that see its pose, and logs.
+"""Quadrotor session: reference flights, flight controller, cameras that measure the pose, and logs.
 
-    reference   sums of sines of place and yaw, and wiggles of roll and pitch, so that its inertia shows
-    control     place -> acceleration -> thrust and attitude -> thrusts of the rotors, by the described robot; rates from a gyro
-    commands    late, held, lost or rounded on their way, as of an arm (robot_stand.py)
-    pose        place and quaternion with noise, late; one stamp for commands and pose
+    reference   sums of sines of position and yaw, and faster ones of roll and pitch, which excite the inertia
+    control     position -> acceleration -> thrust and attitude -> rotor thrusts, for the described robot; rates from a gyro
+    commands    delayed, held, lost or rounded, as for an arm (robot_stand.py)
+    pose        position and quaternion with noise and delay; one stamp for commands and pose
 
-Forces and torques of no cause are as large as data/calib/robot.toml grants a healthy robot, every 60 ms anew.
+Random forces and torques, redrawn every 60 ms, are as large as data/calib/robot.toml allows for a healthy robot.
 """
 
 from collections.abc import Callable
@@ -20,17 +20,17 @@ from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion,
 from fishmj.gap.laboratory.articulated.robot_plan import GRAVITY, RobotPlan, tolerances, within_tolerance
 from fishmj.gap.laboratory.articulated.robot_stand import SLOW, Channel, over_scatter, pushes, pushes_at, replay, timing_of
 
-REACH, TONES = 0.7, (0.12, 0.6)  # m; Hz of places
+REACH, TONES = 0.7, (0.12, 0.6)  # m; Hz of positions
 WIGGLE, QUICK = 0.12, (0.8, 2.2)  # rad; Hz of roll and pitch
-SLOW_LOOP, FAST_LOOP = 1.6, 7.0  # rad/s, of place and of attitude
-LEAK, MOST = 0.5, 6.0  # 1/s of the integral of the place's error; m/s2
-AWAY = 20.0  # m: it has flown away
+SLOW_LOOP, FAST_LOOP = 1.6, 7.0  # rad/s, of position and of attitude
+LEAK, MOST = 0.5, 6.0  # 1/s, integral gain of the position error; m/s2
+AWAY = 20.0  # largest state of a valid flight, in m, m/s and rad/s
 GYRO = 0.01  # rad/s
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class FlownStand(NamedTuple):
-    """A controller and its cameras. tick: s. place: m, turn: rad, noise of the pose."""
+    """Controller and cameras. tick: s. place [m], turn [rad]: standard deviations of the pose."""
 
     tick: float
     place: float
@@ -40,7 +40,7 @@ class FlownStand(NamedTuple):
 
 
 class FlownLog(NamedTuple):
-    """One log: stamps (K,) s, commands (K, A) N, readings (K, 7); the same without noise, and true states (K, 13)."""
+    """One log: stamps (K,) s, commands (K, A) N, readings (K, 7); clean: readings without noise; true states (K, 13)."""
 
     t: np.ndarray
     commands: np.ndarray
@@ -51,14 +51,14 @@ class FlownLog(NamedTuple):
 
 
 def draw_flown_stand(rng: np.random.Generator, logs: int, seconds: float) -> FlownStand:
-    """Cameras at 100 to 250 Hz."""
+    """Draws cameras at 100 to 250 Hz."""
     return FlownStand(
         float(rng.choice((0.004, 0.005, 0.01))), float(rng.uniform(2e-4, 8e-4)), float(rng.uniform(1e-3, 3e-3)), seconds, logs
     )
 
 
 class FlightReference:
-    """Place, yaw, roll and pitch of one log as functions of time: sums of sines that begin at rest."""
+    """Position, yaw, roll and pitch of one log as functions of time: sums of sines that start at rest."""
 
     def __init__(self, rng: np.random.Generator, reach: float):
         self.pulse = 2.0 * np.pi * np.concatenate([rng.uniform(*TONES, (4, 3)), rng.uniform(*QUICK, (2, 3))])
@@ -74,33 +74,33 @@ class FlightReference:
 
 
 class FlightController:
-    """The controller of a log. It knows the described robot."""
+    """Controller of one log, tuned to the described robot."""
 
     def __init__(self, plan: RobotPlan, reference: FlightReference, tick: float):
         self.reference, self.tick, self.body = reference, tick, plan.limbs[0]
         place, turn = plan.of_rotors("place"), plan.of_rotors("turn")
         lever = np.stack([np.cross(p, UPRIGHT) + c * UPRIGHT for p, c in zip(place, turn, strict=True)], 1)
-        self.mix = np.concatenate([np.ones((1, len(place))), lever])  # thrust and torque of thrusts
+        self.mix = np.concatenate([np.ones((1, len(place))), lever])  # rotor thrusts -> thrust and torque
         self.limit = plan.of_rotors("limit")
-        self.before: np.ndarray | None = None
-        self.rate, self.missing = np.zeros(3), np.zeros(3)
+        self.last_position: np.ndarray | None = None
+        self.rate, self.integral = np.zeros(3), np.zeros(3)
 
     def command(self, t: float, pose: np.ndarray, gyro: np.ndarray) -> np.ndarray:
-        """(A,) thrusts at a tick, from the pose (7,) that is seen and the gyro (3,)."""
-        told, slope = self.reference.at(t)
-        if self.before is not None:
-            self.rate += 0.25 * ((pose[:3] - self.before) / self.tick - self.rate)
-        self.before = pose[:3]
-        error = told[:3] - pose[:3]
-        self.missing += LEAK * error * self.tick
-        asked = SLOW_LOOP**2 * (error + self.missing) + 1.8 * SLOW_LOOP * (slope[:3] - self.rate)
-        force = self.body.mass * (np.clip(asked, -MOST, MOST) + GRAVITY * UPRIGHT)
+        """Thrusts (A,) at one tick, from the measured pose (7,) and the gyro (3,)."""
+        target, slope = self.reference.at(t)
+        if self.last_position is not None:
+            self.rate += 0.25 * ((pose[:3] - self.last_position) / self.tick - self.rate)
+        self.last_position = pose[:3]
+        error = target[:3] - pose[:3]
+        self.integral += LEAK * error * self.tick
+        acceleration = SLOW_LOOP**2 * (error + self.integral) + 1.8 * SLOW_LOOP * (slope[:3] - self.rate)
+        force = self.body.mass * (np.clip(acceleration, -MOST, MOST) + GRAVITY * UPRIGHT)
         turn = Rotation.from_quat(pose[3:], scalar_first=True)
         up = force / np.linalg.norm(force)
-        ahead = np.array([np.cos(told[3]), np.sin(told[3]), 0.0])
+        ahead = np.array([np.cos(target[3]), np.sin(target[3]), 0.0])
         left = np.cross(up, ahead)
         left /= np.linalg.norm(left)
-        wanted = Rotation.from_matrix(np.stack([np.cross(left, up), left, up], 1)) * Rotation.from_rotvec([*told[4:], 0.0])
+        wanted = Rotation.from_matrix(np.stack([np.cross(left, up), left, up], 1)) * Rotation.from_rotvec([*target[4:], 0.0])
         off = (turn.inv() * wanted).as_rotvec()
         spin = FAST_LOOP**2 * off - 1.7 * FAST_LOOP * gyro
         torque = np.array(self.body.inertia) * spin + np.cross(self.body.centre, [0.0, 0.0, self.body.mass * GRAVITY])
@@ -109,15 +109,15 @@ class FlightController:
 
 
 def fly(plant: Any, described: RobotPlan, reference: FlightReference, stand: FlownStand, hidden: Hidden, push, rng) -> FlownLog:
-    """One log. plant: the true robot. push: wrenches (n, 6) of no cause, every spacing. Raises FloatingPointError."""
+    """Flies one log. plant: true robot. push: random wrenches (n, 6), one per spacing. Raises FloatingPointError."""
     h, every = plant.h, round(stand.tick / plant.h)
     timing = timing_of(hidden, len(described.rotors))
-    kept = round(stand.seconds / stand.tick)
-    ticks = kept + int(SLOW * kept) + 2
+    rows = round(stand.seconds / stand.tick)
+    ticks = rows + int(SLOW * rows) + 2
     pilot, channel = FlightController(described, reference, stand.tick), Channel(timing, rng)
     plant.start(np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), np.zeros(6))
     grid = h * np.arange(ticks * every + 1)
-    causeless = pushes_at(push, grid)
+    disturbance = pushes_at(push, grid)
     states = np.zeros((len(grid), 13))
     states[0, 3] = 1.0
     noise = rng.standard_normal((ticks, 6)) * np.repeat([stand.place, stand.turn], 3)
@@ -125,33 +125,33 @@ def fly(plant: Any, described: RobotPlan, reference: FlightReference, stand: Flo
     for k in range(ticks):
         place = max(0, k * every - round(timing.seen_late / h))
         gyro = states[k * every, 10:] + GYRO * rng.standard_normal(3)
-        u = pilot.command(k * stand.tick, _seen(states[place, :7], noise[k]), gyro)
+        u = pilot.command(k * stand.tick, _with_noise(states[place, :7], noise[k]), gyro)
         sent.append(u)
         force = pilot.mix @ u
         up = Rotation.from_quat(states[k * every, 3:7], scalar_first=True).apply(UPRIGHT)
         wrench.append([*(force[0] * up), *force[1:]])
         channel.send(k * stand.tick, u)
         for n in range(k * every, (k + 1) * every):
-            plant.step(channel.delivered(n * h), causeless[n])
+            plant.step(channel.delivered(n * h), disturbance[n])
             states[n + 1] = *plant.q, *plant.v
         if not np.all(np.abs(states[n + 1]) < AWAY):
             raise FloatingPointError("the robot flew away")
-    stamps = stand.tick * np.arange(kept)
+    stamps = stand.tick * np.arange(rows)
     when = np.maximum(stamps / timing.rate - timing.seen_late, 0.0)
-    told = np.stack([np.interp(when, grid, column) for column in states.T], 1)
-    told[:, 3:7] /= np.linalg.norm(told[:, 3:7], axis=1, keepdims=True)
-    readings = _seen(told[:, :7], noise[:kept])
-    return FlownLog(stamps, np.array(sent[:kept]), readings, told[:, :7], told, np.array(wrench[:kept]))
+    logged = np.stack([np.interp(when, grid, column) for column in states.T], 1)
+    logged[:, 3:7] /= np.linalg.norm(logged[:, 3:7], axis=1, keepdims=True)
+    readings = _with_noise(logged[:, :7], noise[:rows])
+    return FlownLog(stamps, np.array(sent[:rows]), readings, logged[:, :7], logged, np.array(wrench[:rows]))
 
 
-def _seen(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Pose (.., 7) with noise (.., 6) of place and turn."""
+def _with_noise(pose: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Pose (.., 7) with noise (.., 6) of position and rotation vector."""
     turn = Rotation.from_quat(pose[..., 3:], scalar_first=True) * Rotation.from_rotvec(noise[..., 3:])
     return np.concatenate([pose[..., :3] + noise[..., :3], turn.as_quat(scalar_first=True)], -1)
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(K, 6) difference of poses: m, and rotation vectors, rad."""
+    """Difference of poses (K, 6): m, and rotation vectors, rad."""
     a, b = (Rotation.from_quat(pose[:, 3:], scalar_first=True) for pose in (one, other))
     return np.concatenate([one[:, :3] - other[:, :3], (b.inv() * a).as_rotvec()], 1)
 
@@ -160,7 +160,7 @@ Build = Callable[[RobotPlan, Hidden], Any]
 
 
 def usual_flight(described: RobotPlan, seed: int, stand: FlownStand) -> UsualMotion:
-    """Wrenches, rates and commands of a session's flights with the described robot; 90 % are smaller."""
+    """90th percentiles of the wrenches, rates and commands in flights of the described robot."""
     nothing = np.zeros((int(1.1 * stand.seconds / tolerances()["spacing"]) + 2, 6))
     logs = [
         fly(FlownMujoco(described, {}), described, reference, stand, {}, nothing, np.random.default_rng([seed, 36]))
@@ -192,7 +192,7 @@ def flown_session(
 def flown_visibility(
     build: Build, described: RobotPlan, stand: FlownStand, usual: UsualMotion, seed: int, logs: list[FlownLog]
 ) -> float:
-    """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest."""
+    """Mean square of the hidden effects over noise and the scatter of healthy robots; largest over the coordinates."""
     noise = np.repeat([stand.place, stand.turn], 3) ** 2
     replayed = lambda plan, log, push: replay(build(plan, {}), log, stand, push, lambda state: (state[:7], state[7:]))
     return over_scatter(replayed, apart, noise, described, stand.seconds, usual, seed, logs)

@@ -1,11 +1,11 @@
-"""Effects and faults to hide in an articulated robot: sizes drawn over a range, and where each acts.
+"""Effects and faults to hide in an articulated robot: ranges of their sizes, and where each acts.
 
-    plan      changes numbers of the robot, before a generator builds it
-    timing    changes commands on their way or readings (robot_stand.py)
+    plan      changes constants of the robot, before a generator builds it
+    timing    changes commands in transit, or readings (robot_stand.py)
     law       a torque or a friction at a joint (plant_laws.py)
 
 Names and parameters of known effects are those of `fishmj.effects`, `name@site`; others are outside every catalogue.
-Sizes are shares of the usual torque, rate and command of the joint, so that an effect of a wrist is as small as a wrist.
+Sizes are relative to the joint's usual torque, rate and command, so that they suit large and small joints.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ AIR = 1.2  # kg/m3
 
 
 class UsualMotion(NamedTuple):
-    """(J,) usual torque N m, rate rad/s and command of each joint."""
+    """Usual torque [N m], rate [rad/s] and command of each joint, (J,)."""
 
     torque: np.ndarray
     rate: np.ndarray
@@ -33,8 +33,8 @@ class Fault(NamedTuple):
     site: str
     draw: Callable[[np.random.Generator, RobotPlan, UsualMotion, int], dict[str, float]]
     plan: Callable[[RobotPlan, int, dict[str, float]], RobotPlan] | None = None
-    servos: bool = False  # only where commands are angles
-    coupled: bool = False  # only where there is a joint before it
+    servos: bool = False  # needs commands that are angles
+    coupled: bool = False  # needs a parent joint
 
 
 def log_uniform(rng, low: float, high: float, signed: bool = False) -> float:
@@ -43,7 +43,7 @@ def log_uniform(rng, low: float, high: float, signed: bool = False) -> float:
 
 
 def one_parameter(name: str, low: float, high: float, scale: Callable | None = None, signed: bool = False):
-    """Draws one parameter, a share of a scale."""
+    """Returns a function that draws one parameter: log-uniform, times a scale."""
 
     def draw(rng, plan, usual, k):
         return {name: log_uniform(rng, low, high, signed) * (scale(plan, usual, k) if scale else 1.0)}
@@ -77,9 +77,9 @@ def _carry(plan: RobotPlan, k: int, v) -> RobotPlan:
     """A point mass twice as far from the hinge as the link's centre; the principal axes stay those of the frame."""
     b = plan.limbs[k]
     own, more, centre = b.mass, v["mass"], np.array(b.centre)
-    apart = centre  # from the old centre to the load
-    both = own * more / (own + more) * (apart @ apart - apart**2)
-    new = centre + more / (own + more) * apart
+    lever = centre  # from the old centre to the load
+    both = own * more / (own + more) * (lever @ lever - lever**2)
+    new = centre + more / (own + more) * lever
     return plan.changed(k, mass=own + more, centre=tuple(map(float, new)), inertia=tuple(map(float, np.array(b.inertia) + both)))
 
 
@@ -88,14 +88,14 @@ def _centre(plan: RobotPlan, k: int, v) -> RobotPlan:
 
 
 def _draw_centre(rng, plan, usual, k):
-    way = rng.standard_normal(3)
-    way *= log_uniform(rng, 0.08, 0.25) * np.linalg.norm(plan.limbs[k].centre) / np.linalg.norm(way)
-    return dict(zip("xyz", map(float, way), strict=True))
+    offset = rng.standard_normal(3)
+    offset *= log_uniform(rng, 0.08, 0.25) * np.linalg.norm(plan.limbs[k].centre) / np.linalg.norm(offset)
+    return dict(zip("xyz", map(float, offset), strict=True))
 
 
 def _draw_tilt(rng, plan, usual, k):
-    way, size = rng.uniform(0.0, 2 * np.pi), log_uniform(rng, 0.02, 0.08)
-    return {"pitch": float(size * np.cos(way)), "roll": float(size * np.sin(way))}
+    angle, size = rng.uniform(0.0, 2 * np.pi), log_uniform(rng, 0.02, 0.08)
+    return {"pitch": float(size * np.cos(angle)), "roll": float(size * np.sin(angle))}
 
 
 def _tilt(plan: RobotPlan, k: int, v) -> RobotPlan:
@@ -105,9 +105,9 @@ def _tilt(plan: RobotPlan, k: int, v) -> RobotPlan:
 
 
 def _draw_wind(rng, plan, usual, k):
-    way = rng.uniform(0.0, 2 * np.pi)
+    angle = rng.uniform(0.0, 2 * np.pi)
     size = log_uniform(rng, 6.0, 25.0)
-    return {"x": float(size * np.cos(way)), "y": float(size * np.sin(way)), "z": 0.0}
+    return {"x": float(size * np.cos(angle)), "y": float(size * np.sin(angle)), "z": 0.0}
 
 
 def _draw_ripple(rng, plan, usual, k):
@@ -196,13 +196,13 @@ ONLY_MUJOCO = ("air_drag", "steady_wind")  # drag at each link: MuJoCo's own
 
 
 def placed(name: str) -> tuple[str, int]:
-    """(effect, number of its limb, -1 for the whole robot) of a name at a site."""
+    """Splits `effect@site`: (effect, number of its limb, -1 for the whole robot)."""
     effect, _, site = name.partition("@")
     return effect, int(site[1:]) - 1 if site else -1
 
 
-SHAPES = ("speed", "phase", "frequency", "from", "side", "angle")  # parameters that are no sizes, beside a ripple's period
-MOST = {  # sizes beyond which a robot would be broken, not wrong
+SHAPES = ("speed", "phase", "frequency", "from", "side", "angle")  # parameters other than sizes, besides a ripple's period
+MOST = {  # largest sizes of a working robot
     **{"gain": 0.7, "scale": 0.2, "offset": 0.3, "pitch": 0.25, "roll": 0.25, "density": 400.0, "probability": 0.5},
     **{"delay": 0.12, "period": 0.15, "sigma": 0.08, "ratio": 0.7},
 }
@@ -211,7 +211,7 @@ FASTEST_CLOCK = 0.015
 
 
 def stronger(effect: str, values: dict[str, float], strength: float, least: float) -> dict[str, float]:
-    """Values of an effect `strength` times as large, within its bounds. least: of a limit of torque."""
+    """Scales an effect's values by `strength`, within its bounds. least: smallest torque limit."""
     out = {}
     for key, value in values.items():
         if key in SHAPES or (effect, key) == ("torque_ripple", "period"):
@@ -229,7 +229,7 @@ def stronger(effect: str, values: dict[str, float], strength: float, least: floa
 def draw_hidden(
     name: str, rng: np.random.Generator, plan: RobotPlan, usual: UsualMotion, strength: float = 1.0
 ) -> dict[str, Any]:
-    """{name at a drawn site: its values}, `strength` times a usual size."""
+    """Draws {name@site: values} at a random site, `strength` times the usual size."""
     fault = FAULTS[name]
     able = [k for k, b in enumerate(plan.limbs) if not fault.coupled or b.parent >= 0]
     k = int(rng.choice(able))
@@ -245,7 +245,7 @@ def fits(name: str, plan: RobotPlan) -> bool:
 
 
 def with_hidden(plan: RobotPlan, hidden: Hidden, faults: Mapping[str, Fault] = FAULTS) -> RobotPlan:
-    """The robot with what changes its numbers. faults: of which kind of robot."""
+    """Applies the hidden effects that change the robot's constants. faults: those of its kind of robot."""
     for name, values in hidden.items():
         effect, k = placed(name)
         change = faults[effect].plan if effect in faults else None

@@ -1,7 +1,7 @@
-"""A robot in MuJoCo with edited attributes, and one driven by the servo laws of BAM.
+"""Robot in MuJoCo with edited attributes, and one driven by the servo laws of BAM.
 
-plant = MujocoPlant(plan, hidden)        h = 1 ms, implicit integrator: another step and integrator than the model in question
-plant.start(q, v); plant.step(u, push)   one step under delivered commands u (J,) and torques of no cause (J,)
+plant = MujocoPlant(plan, hidden)        h = 1 ms, implicit integrator: another step and integrator than the described model
+plant.start(q, v); plant.step(u, push)   one step under delivered commands u (J,) and random torques (J,)
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ class MujocoState:
         self.m, self.d = m, mujoco.MjData(m)
 
     def start(self, q: np.ndarray, v: np.ndarray, t: float = 0.0) -> None:
-        """Sets place, rates and time."""
+        """Sets position, rates and time."""
         mujoco.mj_resetData(self.m, self.d)
         self.d.qpos[:], self.d.qvel[:], self.d.time = q, v, t
 
@@ -39,10 +39,10 @@ class MujocoState:
 
 
 class MujocoPlant(MujocoState):
-    """MuJoCo's own actuators, friction, armature, damping and medium; laws beyond them as applied torques."""
+    """Actuators, friction, armature, damping and medium of MuJoCo; other laws as applied torques."""
 
     h = 0.001
-    spent = 0.0  # largest share of a servo's voltage, told by `BamPlant` alone
+    spent = 0.0  # largest used share of a servo's voltage, set by `BamPlant` only
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
         self.plan, self.hidden = plan, hidden
@@ -57,7 +57,7 @@ class MujocoPlant(MujocoState):
         self.laws = JointLaws(self.plan, self.hidden)
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
-        """One step."""
+        """Advances by one step."""
         m, d = self.m, self.d
         d.ctrl[:] = u
         d.qfrc_applied[:] = push
@@ -73,8 +73,8 @@ class BamPlant(MujocoPlant):
 
     As in `bam.mujoco.MujocoController`, each step writes the budget into the joint's frictionloss and damping.
 
-    servos: law of each joint, by its number: constants as of `bam_servo`. spent: largest share so far of the supply's voltage
-    that a controller asked for, or of the stall torque that a motor gave; up to 1 the motor's law is that of the description.
+    servos: constants of the law (`bam_servo`) by number of the joint. spent: largest share so far of the supply voltage that a
+    controller requested, or of the stall torque that a motor delivered; up to 1 the motor follows the described law.
     """
 
     h = 0.0005
@@ -89,12 +89,12 @@ class BamPlant(MujocoPlant):
         self.dry, self.viscous = plan.column("friction"), plan.column("damping")
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
-        """One step."""
+        """Advances by one step."""
         m, d = self.m, self.d
-        asked = self.kp * (u - d.qpos)
-        driven = np.clip(asked, -self.limit, self.limit)  # by the voltage that the supply has
+        requested = self.kp * (u - d.qpos)
+        driven = np.clip(requested, -self.limit, self.limit)  # limited by the supply voltage
         motor = driven - self.kv * d.qvel + self.offset
-        self.spent = max(self.spent, float(np.max(np.maximum(np.abs(asked), np.abs(motor)) / self.limit)))
+        self.spent = max(self.spent, float(np.max(np.maximum(np.abs(requested), np.abs(motor)) / self.limit)))
         d.ctrl[:] = motor
         d.qfrc_applied[:] = push + self.laws.torques(d.qpos, d.qvel, motor, d.time, self.h)
         external = -d.qfrc_bias + push

@@ -1,4 +1,4 @@
-"""A robot whose rigid-body dynamics are Pinocchio's, with friction laws and a time stepper of its own.
+"""Robot with Pinocchio's rigid-body dynamics, and friction laws and a time stepper of its own.
 
     (M(q) + h diag(d)) (v' - v) / h = tau - b(q, v)        d = slope of the friction over the rate, so that friction is implicit
     q' = q + h v'
@@ -6,7 +6,7 @@
     dry friction    (F + F(v, tau)) tanh(v / v_0)          v_0 = 5 mrad/s
     damping         D v + c |v| v
 
-Pinocchio: Carpentier et al. 2019 (`pin` on PyPI, BSD-2). It knows nothing of MuJoCo; the robot is built from its numbers.
+Pinocchio: Carpentier et al. 2019 (`pin` on PyPI, BSD-2). It does not use MuJoCo; the robot is built from its constants.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ CREEP = 0.005  # rad/s, v_0
 
 
 class PinocchioPlant:
-    """The interface of `MujocoPlant`. Raises MissingExtra without Pinocchio."""
+    """Plant with the interface of `MujocoPlant`. Raises ImportError: no Pinocchio."""
 
     h = 0.0005
     spent = 0.0
@@ -44,15 +44,15 @@ class PinocchioPlant:
         self.laws = JointLaws(self.plan, self.hidden)
 
     def step(self, u: np.ndarray, push: np.ndarray) -> None:
-        """One step."""
+        """Advances by one step."""
         q, v, h = self.q, self.v, self.h
         motor = self.motors.torque(u, q, v)
         laws = self.laws
         added = laws.torques(q, v, motor, self.t, h) if laws.laws else 0.0
-        size = self.dry + laws.friction(v, motor) if laws.rubs else self.dry
-        turned = np.tanh(v / CREEP)
-        friction = size * turned + self.damping * v + self.drag * np.abs(v) * v
-        slope = size * (1.0 - turned**2) / CREEP + self.damping + 2.0 * self.drag * np.abs(v) + self.kv
+        size = self.dry + laws.friction(v, motor) if laws.friction_laws else self.dry
+        direction = np.tanh(v / CREEP)
+        friction = size * direction + self.damping * v + self.drag * np.abs(v) * v
+        slope = size * (1.0 - direction**2) / CREEP + self.damping + 2.0 * self.drag * np.abs(v) + self.kv
         self.m.armature = self.armature + h * slope
         a = self.pin.aba(self.m, self.d, q, v, motor + added + push - friction - self.spring * q)
         self.v = v + h * a
@@ -61,7 +61,7 @@ class PinocchioPlant:
 
 
 def pinocchio_model(pin: Any, plan: RobotPlan) -> Any:
-    """Pinocchio's model of a robot: hinges about drawn axes, and bodies."""
+    """Pinocchio's model of a robot: hinges about its axes, and bodies."""
     m = pin.Model()
     m.gravity.linear = np.array(plan.gravity)
     numbers = []

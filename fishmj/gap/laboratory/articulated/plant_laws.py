@@ -1,4 +1,4 @@
-"""Torques at the joints that no plain field of a simulator has, written from their formulas.
+"""Joint torques for which simulators have no parameter, from their formulas.
 
     speed limit          |tau| <= limit (1 - slowness |v|) where the motor drives          line between stall and no load
     torque ripple        tau = a sin(2 pi q / P) + b cos(2 pi q / P)                       cogging
@@ -7,7 +7,7 @@
     vibration            tau = A sin(2 pi f t + phi)                                       an imbalance, a fan
     hysteresis           tau = -A z,  dz/dt = v / d (1 - sign(v) z)                        Dahl (1968), presliding
 
-Friction that depends on speed and load is given as a size, which each generator applies in its own way:
+Friction that depends on speed and load is given as a magnitude, which each generator applies in its own way:
 
     F(v, tau) = F_s exp(-(v / v_s)^2) + mu |tau|          Stribeck (Armstrong-Helouvry 1994), load (Duclusaud 2024)
 """
@@ -17,8 +17,8 @@ import numpy as np
 from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, placed
 from fishmj.gap.laboratory.articulated.robot_plan import RobotPlan
 
-TIGHT = 0.3  # rad over which a cable's torque grows to its size
-LARGEST = 9.0  # of the cable's (angle / TIGHT)^2
+TIGHT = 0.3  # rad over which a cable's torque reaches its size
+LARGEST = 9.0  # largest (angle / TIGHT)^2 of the cable
 
 
 class JointMotors:
@@ -31,22 +31,22 @@ class JointMotors:
 
     def torque(self, u: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Torque within the motors' limits."""
-        asked = self.gear * u if self.torques else self.kp * (u - q) - self.kv * v
-        return np.minimum(np.maximum(asked + self.offset, -self.limit), self.limit)
+        requested = self.gear * u if self.torques else self.kp * (u - q) - self.kv * v
+        return np.minimum(np.maximum(requested + self.offset, -self.limit), self.limit)
 
 
 class JointLaws:
-    """The hidden laws of one robot. `torques` and `friction` are asked once a step, in the order of time."""
+    """Hidden laws of one robot. Call `torques` and `friction` once per step, in order of time."""
 
     def __init__(self, plan: RobotPlan, hidden: Hidden):
         self.plan = plan
         self.parents = [b.parent for b in plan.limbs]
         self.laws = [(effect, k, values) for name, values in hidden.items() for effect, k in (placed(name),)]
-        self.rubs = [law for law in self.laws if law[0] in ("stribeck", "load_friction")]
-        self.bent = np.zeros(len(plan.limbs))
+        self.friction_laws = [law for law in self.laws if law[0] in ("stribeck", "load_friction")]
+        self.hysteresis = np.zeros(len(plan.limbs))
 
     def torques(self, q: np.ndarray, v: np.ndarray, motor: np.ndarray, t: float, h: float) -> np.ndarray:
-        """(J,) N m, added to the motors' at time t of a step h."""
+        """Torques (J,) [N m] added to the motors' at time t, for a step h [s]."""
         out = np.zeros(len(q))
         for effect, k, p in self.laws:
             if effect == "speed_limit":
@@ -67,14 +67,14 @@ class JointLaws:
                 out[k] += p["torque"] * np.sin(2.0 * np.pi * p["frequency"] * t + p["phase"])
             elif effect == "hysteresis":
                 rate = abs(v[k]) * h / p["angle"]
-                self.bent[k] = np.sign(v[k]) + (self.bent[k] - np.sign(v[k])) * np.exp(-rate)
-                out[k] -= p["torque"] * self.bent[k]
+                self.hysteresis[k] = np.sign(v[k]) + (self.hysteresis[k] - np.sign(v[k])) * np.exp(-rate)
+                out[k] -= p["torque"] * self.hysteresis[k]
         return out
 
     def friction(self, v: np.ndarray, motor: np.ndarray) -> np.ndarray:
-        """(J,) N m, size of the dry friction beyond the plan's."""
+        """Magnitude (J,) [N m] of the dry friction beyond the plan's."""
         out = np.zeros(len(v))
-        for effect, k, p in self.rubs:
+        for effect, k, p in self.friction_laws:
             if effect == "stribeck":
                 out[k] += p["torque"] * np.exp(-((v[k] / p["speed"]) ** 2))
             else:
@@ -83,7 +83,7 @@ class JointLaws:
 
 
 class FreeBodyLaws:
-    """Hidden forces on a free body that no plain field of a simulator has.
+    """Hidden forces on a free body for which simulators have no parameter.
 
     tether            F = -K (x - x_0) (1 - L / |x - x_0|) beyond the slack length L        a cable to the ground
     body vibration    torque A sin(2 pi f t + phi) about the body's x                      a bent propeller

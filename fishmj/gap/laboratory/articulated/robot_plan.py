@@ -1,4 +1,4 @@
-"""Drawn robots: a tree of hinges with motors, as numbers that any generator builds from, and as MJCF, the model in question.
+"""Random robots: a tree of hinges with motors, as constants for every generator, and as MJCF, the described model.
 
     pendulum   one hinge                two_link   two hinges in one plane
     arm        six hinges               legs       four legs of three hinges on a fixed torso
@@ -15,21 +15,21 @@ import numpy as np
 from fishmj.base.calib import calib_folder, read_toml
 
 GRAVITY = 9.81
-STEP = 0.002  # s, of the model in question
+STEP = 0.002  # s, of the described model
 ANGLE = 3.1  # rad, largest commanded angle
 LARGEST_THRUST = 100.0  # N, largest command of a rotor
-THIN = 0.15  # moment of inertia about a link's own axis, over that across
+THIN = 0.15  # ratio of a link's moment of inertia about its own axis to that across
 
 
 Vector = tuple[float, ...]  # (3,)
 
 
 class Limb(NamedTuple):
-    """A body with its hinge and motor.
+    """Body with its hinge and motor.
 
     parent: number of its parent, -1 for the base. place: of the hinge in the parent's frame. inertia: principal, about `centre`.
-    gear: of a torque motor. kp, kv: of a position servo, 0 for a torque motor. limit: largest torque of the motor. swing: rad,
-    about which angle and how far it is to move.
+    gear: of a torque motor. kp, kv: of a position servo, 0 for a torque motor. limit: largest torque of the motor. swing:
+    middle and amplitude of its motion, rad.
     """
 
     parent: int
@@ -52,7 +52,7 @@ class Limb(NamedTuple):
 
 
 class Rotor(NamedTuple):
-    """A thruster of a free body, along its z. place: in the body. turn: torque about z over thrust, m.
+    """Thruster of a free body, along its z. place: in the body. turn: torque about z over thrust, m.
 
     gain: thrust over command. limit, offset: N. lag: s, time constant of the thrust.
     """
@@ -66,9 +66,9 @@ class Rotor(NamedTuple):
 
 
 class RobotPlan(NamedTuple):
-    """A robot. torques: commands are torques, not angles. gravity: (3,) m/s2. density, wind: of the medium, kg/m3 and m/s.
+    """Robot. torques: commands are torques, not angles. gravity: (3,) m/s2. density, wind: of the medium, kg/m3 and m/s.
 
-    rotors: with them the one body has no hinge and floats; commands are thrusts, N.
+    rotors: if any, the only body floats without a hinge, and commands are thrusts, N.
     """
 
     family: str
@@ -166,7 +166,7 @@ def mjcf(plan: RobotPlan, step: float = STEP, integrator: str = "implicitfast", 
 
 # ------------------------------------------------------------------------------------------------------------------------ drawing
 def _rod(rng, parent, place, axis, along, length, mass, off=0.06, **more) -> Limb:
-    """A link of drawn length, mass and centre; `along`: its direction; `off`: centre off its axis, share of the length."""
+    """Link of random length, mass and centre. along: its direction; off: offset of the centre from its axis over the length."""
     length, mass = length * rng.uniform(0.8, 1.25), mass * rng.uniform(0.7, 1.4)
     along = np.array(along, float)
     aside = rng.uniform(-off, off, 3) * length * (1.0 - np.abs(along))
@@ -241,7 +241,7 @@ def _quadrotor(rng) -> RobotPlan:
 
 
 def draw_plan(family: str, rng: np.random.Generator) -> RobotPlan:
-    """A robot of a family; half of them take torques, half angles, half state friction and damping."""
+    """Draws a robot of a family. Half of them take torques, half angles; half state friction and damping."""
     if family == QUADROTOR:
         return _quadrotor(rng)
     limbs = FAMILIES[family](rng)
@@ -251,7 +251,7 @@ def draw_plan(family: str, rng: np.random.Generator) -> RobotPlan:
     plan = RobotPlan(family, tuple(limbs), torques)
     carried, load = carried_inertia(plan), held_torque(plan)
     for k in range(len(plan.limbs)):
-        scale = load[k] + 10.0 * carried[k]  # of the torque of a usual motion
+        scale = load[k] + 10.0 * carried[k]  # N m, torque of a usual motion
         own = {"limit": float(6.0 * scale)}
         if stated:
             own |= {"friction": float(scale * rng.uniform(0.01, 0.05)), "damping": float(scale * rng.uniform(0.005, 0.02))}
@@ -263,7 +263,7 @@ def draw_plan(family: str, rng: np.random.Generator) -> RobotPlan:
 
 
 def carried_inertia(plan: RobotPlan) -> np.ndarray:
-    """(J,) kg m2 about each hinge of all that it carries, the other joints at 0."""
+    """Inertia (J,) [kg m2] about each hinge of all bodies that it carries, the other joints at 0."""
     origins, axes = _frames(plan)
     out = plan.column("armature").copy()
     for k in range(len(plan.limbs)):
@@ -275,7 +275,7 @@ def carried_inertia(plan: RobotPlan) -> np.ndarray:
 
 
 def held_torque(plan: RobotPlan) -> np.ndarray:
-    """(J,) N m, largest torque of gravity at each hinge as it turns, the other joints at 0."""
+    """Largest torque (J,) [N m] of gravity at each hinge over its angle, the other joints at 0."""
     origins, axes = _frames(plan)
     out = np.zeros(len(plan.limbs))
     for k in range(len(plan.limbs)):
@@ -316,7 +316,7 @@ def tolerances() -> Mapping[str, float]:
 
 
 def within_tolerance(plan: RobotPlan, rng: np.random.Generator) -> RobotPlan:
-    """A robot as stated: each constant drawn within its tolerance."""
+    """Draws each constant of a robot within its stated tolerance."""
     sigma = tolerances()
     limbs = []
     for b in plan.limbs:

@@ -1,10 +1,10 @@
-"""Sessions of the three generators: the described robot, what is hidden in it with drawn sizes, and its logs.
+"""Sessions of the three generators: described robot, hidden effects of random size, and logs.
 
-    told = draw_session("pinocchio", "arm", ("coulomb_friction",), seed=7, logs=4, seconds=4.5)
-    told.plan, told.hidden, told.logs, told.visible
+    made = draw_session("pinocchio", "arm", ("coulomb_friction",), seed=7, logs=4, seconds=4.5)
+    made.plan, made.hidden, made.logs, made.visible
 
-A seed gives the same session on every machine. An effect that does not show is drawn anew, at another site and 1.8 times as
-large, a few times. A robot whose description does not fit an effect is drawn anew, too.
+A seed gives the same session on every machine. An invisible effect is redrawn at another site and 1.8 times as large,
+at most five times. A robot that an effect does not fit is redrawn, too.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,10 +31,10 @@ from fishmj.gap.laboratory.articulated.robot_stand import Stand, draw_stand, ses
 
 MUJOCO, PINOCCHIO, BAM = "mujoco", "pinocchio", "bam"
 NAMES = (MUJOCO, PINOCCHIO, BAM)
-SEEN = 5.0  # mean square from which an effect shows
-DRAWS, GROWTH = 6, 1.8  # of a size and a site, each time larger, until it shows
-CALM = 0.055  # s, swing over the speed without load, so that a healthy servo has voltage to spare
-PLANS = 60  # drawn robots, until one fits
+SEEN = 5.0  # mean square above which an effect is visible
+DRAWS, GROWTH = 6, 1.8  # draws of size and site until an effect is visible; growth per draw
+CALM = 0.055  # s, largest swing over no-load speed, so that a healthy servo has spare voltage
+PLANS = 60  # most draws of a robot until one fits
 SMALL = ("pendulum", "two_link")  # that a hobby servo moves
 OF_SERVOS = (
     *("coulomb_friction", "viscous_friction", "rotor_inertia", "stribeck", "load_friction", "torque_offset", "servo_gain"),
@@ -44,14 +44,14 @@ OUTSIDE_OF_SERVOS = ("cable_torque", "vibration")
 
 
 class RobotSession(NamedTuple):
-    """A described robot with logs of the true one. visible: mean square of each hidden effect alone, by its name."""
+    """Described robot with logs of the true one. visible: mean square of each hidden effect alone, by its name."""
 
     plan: RobotPlan
     hidden: dict[str, dict[str, float]]
     stand: Stand | FlownStand
     logs: list[Any]  # LogRun or FlownLog
     visible: dict[str, float]
-    servo: str  # of BAM, with its law; "" for the others
+    servo: str  # of BAM, with its law; "" for other generators
 
 
 def able(generator: str, outside: bool = False, family: str = "") -> tuple[str, ...]:
@@ -67,7 +67,7 @@ def able(generator: str, outside: bool = False, family: str = "") -> tuple[str, 
 
 
 def draw_session(generator: str, family: str, names: Sequence[str], seed: int, logs: int, seconds: float) -> RobotSession:
-    """A session with the effects `names` hidden in it. Raises FloatingPointError: every drawn robot ran away, or none fits."""
+    """Session with the effects `names` hidden in it. Raises FloatingPointError: every drawn robot ran away, or none fits."""
     for attempt in range(PLANS):
         rng = np.random.default_rng([seed, 41, attempt])
         if family == QUADROTOR:
@@ -100,9 +100,9 @@ def _drawn(generator: str, made: tuple, names: Sequence[str], seed: int, rng, lo
 
 
 def _hide(names: Sequence[str], draw: Callable, seen: Callable, own: Hidden) -> tuple[dict, dict]:
-    """({effect at its site: values}, {effect at its site: how visible it is}); what does not show is drawn larger.
+    """Draws effects, larger ones until visible. Returns ({name@site: values}, {name@site: visibility}).
 
-    own: a servo's own constants, which are not drawn.
+    own: constants of a servo, which are not drawn.
     """
     hidden: dict[str, Mapping[str, float]] = {}
     visible: dict[str, float] = {}
@@ -129,14 +129,14 @@ def _flown(generator: str, plan: RobotPlan, names: Sequence[str], seed: int, rng
 
 
 def visibility_of(generator: str, plan: RobotPlan, one: Hidden, law: dict, stand: Stand, usual: UsualMotion, seed: int) -> float:
-    """Mean square of one effect alone, by two logs."""
+    """Mean square of one effect alone, from at most two logs."""
     build = builder(generator, law)
     few = stand._replace(logs=min(2, stand.logs))
     return visibility(build, plan, one, few, usual, seed, session(build, plan, one, few, usual, seed))
 
 
 def builder(generator: str, law: dict[str, dict[str, float]]) -> Any:
-    """Function (plan, hidden) -> plant. law: a servo's own constants, by the effect that they are."""
+    """Function (plan, hidden) -> plant. law: a servo's constants by effect."""
     if generator == MUJOCO:
         return MujocoPlant
     if generator == PINOCCHIO:
@@ -150,7 +150,7 @@ def builder(generator: str, law: dict[str, dict[str, float]]) -> Any:
 
 # ------------------------------------------------------------------------------------------------------------------------- servos
 def _servo_robot(family: str, names: Sequence[str], rng) -> tuple | None:
-    """(robot with servos, their name and law, constants of the hidden law by effect, hidden effects that are the servo's own)."""
+    """(robot with servos, their name and law, constants of the hidden law by effect, effects with the servo's own values)."""
     plan = draw_plan(family if family in SMALL else SMALL[int(rng.integers(2))], rng)
     if any(FAULTS[name].coupled for name in names if name in FAULTS) and len(plan.limbs) < 2:
         return None
@@ -171,7 +171,7 @@ def _servo_robot(family: str, names: Sequence[str], rng) -> tuple | None:
             "viscous_friction": ("damping", "damping", constants["viscous"]),
             "rotor_inertia": ("armature", "inertia", constants["armature"]),
         }.get(name, ("", "", 0.0))
-        if field:  # the description does not have it
+        if field:  # absent from the description
             plan = plan.changed(at, **{field: 0.0})
             own[f"{name}@{joint(at)}"] = {key: value}
     return plan, f"{servo} {number}", law, own
@@ -180,8 +180,8 @@ def _servo_robot(family: str, names: Sequence[str], rng) -> tuple | None:
 def _as_parameters(name: str, constants: Mapping[str, float]) -> dict[str, float]:
     """Values of a servo's law under the names of the catalogue.
 
-    Load friction there is a share of the motor's torque. Where the joint moves slowly the outer torque is its opposite, so M3's
-    share of their difference counts twice, and M5's and M6's shares add up.
+    Load friction of the catalogue is a share of the motor's torque. In slow motion the external torque is its opposite, so that
+    M3's share of their difference counts twice, and the shares of M5 and M6 add up.
     """
     if name == "stribeck":
         return {"torque": constants["stribeck"], "speed": constants["speed"]}
@@ -191,9 +191,9 @@ def _as_parameters(name: str, constants: Mapping[str, float]) -> dict[str, float
 
 
 def carrying(plan: RobotPlan, kind: BamServo, constants: Mapping[str, float], rng) -> RobotPlan:
-    """The robot with a servo at each joint, its links made as heavy as the servos can move."""
+    """Puts a servo at each joint, and makes the links as heavy as the servos can move."""
     stall = kind.volts * kind.duty * constants["k_t"] / constants["r"]
-    size = 1.0 if stall > 2.0 else 0.35  # of its links, over those of an arm
+    size = 1.0 if stall > 2.0 else 0.35  # scale of the links
     reach_of = CALM * kind.volts * kind.duty / constants["k_t"]
     limbs = []
     for k, b in enumerate(plan.limbs):

@@ -1,13 +1,13 @@
-"""A session with an articulated robot: reference motions, the host's controller, commands on their way, encoders, and logs.
+"""Session with an articulated robot: reference motions, host controller, command channel, encoders and logs.
 
     reference   sums of sines about each joint's middle; with a torque motor the host closes the loop on the encoders
-    commands    late, held, lost or rounded on their way; between two of them the last one holds
-    encoders    scale, zero, noise, counts, late; one stamp for commands and readings, as a host writes its log
-    servos      (BAM) ask for 85 % of their voltage at most: beyond it they are no longer as described
-    torques     of no cause: as large as data/calib/robot.toml grants a healthy robot, every 60 ms anew
+    commands    delayed, held, lost or rounded; the last one holds until the next
+    encoders    scale, zero, noise, counts, delay; one stamp for commands and readings, as a host writes its log
+    servos      (BAM) use at most 85 % of their voltage or stall torque, within the described law
+    disturbance random torques, redrawn every 60 ms, as large as data/calib/robot.toml allows for a healthy robot
 
-What is hidden shows in `visibility`: healthy robots start each 0.3 s from the logged state under the logged commands, and the
-mean square of the difference is taken over noise and the scatter of healthy robots, of the joint where that is largest.
+`visibility` measures the hidden effects: healthy robots replay the logged commands, restarted every 0.3 s from the logged state.
+The mean square of the difference is divided by noise and the scatter of healthy robots; the largest over the joints counts.
 """
 
 from collections.abc import Callable
@@ -20,16 +20,16 @@ from fishmj.gap.laboratory.articulated.hidden_faults import Hidden, UsualMotion,
 from fishmj.gap.laboratory.articulated.robot_plan import ANGLE, RobotPlan, carried_inertia, mjcf, tolerances, within_tolerance
 
 SEGMENT = 0.3  # s
-HEALTHY = 3  # robots that tell the scatter
-SLOW = 0.02  # share by which the clock of a log may be off
-FAR = 25.0  # rad: a joint that turns further has run away
+HEALTHY = 3  # robots for the scatter
+SLOW = 0.02  # largest relative error of a log's clock
+FAR = 25.0  # rad, largest angle of a valid log
 TONES = (0.25, 1.6)  # Hz
-SPENT = 0.85  # of a servo's voltage or stall torque, the largest share
+SPENT = 0.85  # largest share of a servo's voltage or stall torque
 LOOP = 9.0  # rad/s, of the host's position loop
 
 
 class Stand(NamedTuple):
-    """A host and its sensors. tick: s. counts: of an encoder, a turn. noise: rad."""
+    """Host and sensors. tick: s. counts: of an encoder per turn. noise: rad."""
 
     tick: float
     counts: float
@@ -39,26 +39,26 @@ class Stand(NamedTuple):
 
 
 class LogRun(NamedTuple):
-    """One log: stamps (K,) s, commands (K, J) and readings (K, J) rad; the same readings without noise, and true states."""
+    """One log: stamps (K,) s, commands (K, J), readings (K, J) rad; clean: readings without noise; true states."""
 
     t: np.ndarray
     commands: np.ndarray
     readings: np.ndarray
     clean: np.ndarray
-    states: np.ndarray  # (K, 2, J) angle and rate that the clean readings stand for
+    states: np.ndarray  # (K, 2, J) angle and rate behind the clean readings
 
 
 Plant = Callable[[RobotPlan, Hidden], Any]
 
 
 def draw_stand(rng: np.random.Generator, logs: int, seconds: float) -> Stand:
-    """A host at 100 to 250 Hz with encoders of 4096 to 65536 counts."""
+    """Draws a host at 100 to 250 Hz with encoders of 4096 to 65536 counts."""
     tick = float(rng.choice((0.004, 0.005, 0.01)))
     return Stand(tick, float(rng.choice((4096, 16384, 65536))), float(rng.uniform(5e-5, 3e-4)), seconds, logs)
 
 
 class SwingReference:
-    """Reference angles and rates of one log: sums of sines that begin at rest in the middle. `at(t)` -> (J,), (J,), (J,)."""
+    """Reference angles and rates of one log: sums of sines that start at rest in the middle. `at(t)` -> (J,), (J,), (J,)."""
 
     def __init__(self, plan: RobotPlan, rng: np.random.Generator, reach: float = 1.0):
         n = len(plan.limbs)
@@ -74,8 +74,8 @@ class SwingReference:
         arc = self.pulse * t + self.phase
         wave, slope, bend = np.sin(arc), np.cos(arc) * self.pulse, -np.sin(arc) * self.pulse**2
         ramp = min(t / 0.5, 1.0)  # the start is at rest
-        told = [np.sum(self.size * part, 1) for part in (wave, slope, bend)]
-        return self.middle + ramp * told[0], ramp * told[1] + (told[0] / 0.5 if ramp < 1.0 else 0.0), ramp * told[2]
+        sums = [np.sum(self.size * part, 1) for part in (wave, slope, bend)]
+        return self.middle + ramp * sums[0], ramp * sums[1] + (sums[0] / 0.5 if ramp < 1.0 else 0.0), ramp * sums[2]
 
 
 def references(plan: RobotPlan, seed: int, logs: int) -> list[SwingReference]:
@@ -85,7 +85,7 @@ def references(plan: RobotPlan, seed: int, logs: int) -> list[SwingReference]:
 
 
 def usual_motion(plan: RobotPlan, seed: int, stand: Stand) -> UsualMotion:
-    """Torques (inverse dynamics of the described robot), rates and commands of a session's references; 90 % are smaller."""
+    """90th percentiles of torques (inverse dynamics of the described robot), rates and commands of a session's references."""
     m = mujoco.MjModel.from_xml_string(mjcf(plan))
     d = mujoco.MjData(m)
     torque, rate, command = [], [], []
@@ -100,7 +100,7 @@ def usual_motion(plan: RobotPlan, seed: int, stand: Stand) -> UsualMotion:
 
 
 class Host:
-    """The controller of a log: references to position servos; computed torque plus feedback to torque motors."""
+    """Controller of a log: references to position servos; gravity compensation plus feedback to torque motors."""
 
     def __init__(self, plan: RobotPlan, reference: SwingReference, tick: float):
         self.plan, self.reference, self.tick = plan, reference, tick
@@ -108,21 +108,21 @@ class Host:
         self.d = mujoco.MjData(self.m)
         carried = carried_inertia(plan)
         self.stiff, self.damp = carried * LOOP**2, 1.4 * carried * LOOP
-        self.before: np.ndarray | None = None
+        self.last_reading: np.ndarray | None = None
         self.rate = np.zeros(len(plan.limbs))
 
     def command(self, t: float, read: np.ndarray) -> np.ndarray:
-        """(J,) command at a tick, from its reading."""
+        """Command (J,) at a tick, from its reading."""
         angle, rate, _ = self.reference.at(t)
         if not self.plan.torques:
             return np.clip(angle, -ANGLE, ANGLE)
-        if self.before is not None:
-            self.rate += 0.3 * ((read - self.before) / self.tick - self.rate)
-        self.before = read
+        if self.last_reading is not None:
+            self.rate += 0.3 * ((read - self.last_reading) / self.tick - self.rate)
+        self.last_reading = read
         self.d.qpos[:], self.d.qvel[:], self.d.qacc[:] = read, 0.0, 0.0
         mujoco.mj_inverse(self.m, self.d)  # gravity, at the reading
-        asked = self.d.qfrc_inverse + self.stiff * (angle - read) + self.damp * (rate - self.rate)
-        return np.clip(asked, -self.plan.column("limit"), self.plan.column("limit"))
+        torque = self.d.qfrc_inverse + self.stiff * (angle - read) + self.damp * (rate - self.rate)
+        return np.clip(torque, -self.plan.column("limit"), self.plan.column("limit"))
 
 
 class StandTiming(NamedTuple):
@@ -161,7 +161,7 @@ def timing_of(hidden: Hidden, joints: int) -> StandTiming:
 
 
 class Channel:
-    """Commands on their way to the motors."""
+    """Command channel to the motors."""
 
     def __init__(self, timing: StandTiming, rng: np.random.Generator):
         self.timing, self.rng = timing, rng
@@ -169,7 +169,7 @@ class Channel:
         self.commands: list[np.ndarray] = []
 
     def send(self, t: float, u: np.ndarray) -> None:
-        """A command leaves the host."""
+        """Sends a command (J,) from the host at time t."""
         late = self.timing.late + self.timing.jitter * abs(self.rng.standard_normal())
         lost = self.rng.random() < self.timing.loss and self.commands
         step = self.timing.step
@@ -178,7 +178,7 @@ class Channel:
         self.commands.append(rounded)
 
     def delivered(self, t: float) -> np.ndarray:
-        """(J,) the command that acts at t: the newest that has arrived, the first one before that."""
+        """Command (J,) that acts at t: the newest arrived one, or the first one if none has arrived."""
         if self.timing.period:
             t = self.timing.period * np.floor(t / self.timing.period + 1e-9)
         for arrival, u in zip(reversed(self.arrivals[-64:]), reversed(self.commands[-64:]), strict=True):
@@ -197,19 +197,19 @@ def run(
     push: np.ndarray,
     rng,
 ) -> LogRun:
-    """One log. plan: the true robot. described: the one in question. push: torques (n, J) of no cause, every spacing.
+    """Simulates one log. plan: true robot. described: nominal robot. push: random torques (n, J), one per spacing.
 
-    Raises FloatingPointError: the robot left the finite numbers, or ran away, or its servos have no voltage to spare.
+    Raises FloatingPointError: the state is not finite, the robot ran away, or a servo has no spare voltage.
     """
     joints, h = len(plan.limbs), plant.h
     timing, every = timing_of(hidden, joints), round(stand.tick / h)
-    kept = round(stand.seconds / stand.tick)
-    ticks = kept + int(SLOW * kept) + 2  # a slow clock's log ends later
+    rows = round(stand.seconds / stand.tick)
+    ticks = rows + int(SLOW * rows) + 2  # a slow clock's log ends later
     host, channel = Host(described, reference, stand.tick), Channel(timing, rng)
     plant.start(reference.at(0.0)[0], np.zeros(joints))
     states = np.zeros((ticks * every + 1, 2, joints))
     grid = h * np.arange(len(states))
-    causeless = pushes_at(push, grid)
+    disturbance = pushes_at(push, grid)
     states[0] = plant.q, plant.v
     noise = stand.noise * rng.standard_normal((ticks, joints))
     shift = timing.zero if not plan.torques else 0.0  # a servo closes its loop on its encoder
@@ -223,53 +223,53 @@ def run(
         channel.send(t, u)
         for s in range(every):
             n = k * every + s
-            plant.step(channel.delivered(n * h) + shift, causeless[n])
+            plant.step(channel.delivered(n * h) + shift, disturbance[n])
             states[n + 1] = plant.q, plant.v
         if not np.all(np.abs(plant.q) < FAR):
             raise FloatingPointError("the robot ran away")
     if plant.spent > SPENT:
         raise FloatingPointError(f"a servo asks for {plant.spent:.0%} of its voltage, or gives as much of its stall torque")
-    stamps = stand.tick * np.arange(kept)
+    stamps = stand.tick * np.arange(rows)
     when = np.maximum(stamps / timing.rate - timing.seen_late, 0.0)
     angles, rates = (np.stack([np.interp(when, grid, states[:, part, j]) for j in range(joints)], 1) for part in (0, 1))
     clean = timing.scale * angles - timing.zero
-    told = np.stack([clean, timing.scale * rates], 1)
-    return LogRun(stamps, np.array(sent[:kept]), _counted(clean + noise[:kept], stand), clean, told)
+    logged = np.stack([clean, timing.scale * rates], 1)
+    return LogRun(stamps, np.array(sent[:rows]), _counted(clean + noise[:rows], stand), clean, logged)
 
 
 def _counted(angles: np.ndarray, stand: Stand) -> np.ndarray:
-    """Angles as an encoder counts them."""
+    """Angles rounded to encoder counts."""
     count = 2.0 * np.pi / stand.counts
     return count * np.round(angles / count)
 
 
 def pushes(usual: UsualMotion, seconds: float, rng: np.random.Generator) -> np.ndarray:
-    """(n, J) torques that a healthy robot may have, every spacing."""
+    """Random torques (n, J) of a healthy robot, one per spacing."""
     sigma = tolerances()
     n = int(1.1 * seconds / sigma["spacing"]) + 2
     return sigma["torque"] * usual.torque * rng.standard_normal((n, len(usual.torque)))
 
 
 def pushes_at(push: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Pushes (n, J), every spacing, at times (T,) s: (T, J)."""
+    """Interpolates torques (n, J), one per spacing, at times (T,) s: (T, J)."""
     knots = tolerances()["spacing"] * np.arange(len(push))
     return np.stack([np.interp(times, knots, column) for column in push.T], 1)
 
 
 def replay(plant: Any, log: Any, stand: Any, push: np.ndarray, split: Callable = tuple) -> np.ndarray:
-    """(K, J) angles, or (K, 7) poses, under the logged commands, each segment from the logged state.
+    """Angles (K, J), or poses (K, 7), under the logged commands; each segment starts from the logged state.
 
     split: a row of `log.states` -> places and rates.
     """
     every, length = round(stand.tick / plant.h), round(SEGMENT / stand.tick)
-    causeless = pushes_at(push, plant.h * np.arange(len(log.t) * every))
+    disturbance = pushes_at(push, plant.h * np.arange(len(log.t) * every))
     out = np.empty_like(log.clean)
     for k in range(len(log.t)):
         if k % length == 0:
             plant.start(*split(log.states[k]), log.t[k])
         out[k] = plant.q
         for n in range(k * every, (k + 1) * every):
-            plant.step(log.commands[k], causeless[n])
+            plant.step(log.commands[k], disturbance[n])
     return out
 
 
@@ -287,7 +287,7 @@ def session(build: Plant, described: RobotPlan, hidden: Hidden, stand: Stand, us
 def visibility(
     build: Plant, described: RobotPlan, hidden: Hidden, stand: Stand, usual: UsualMotion, seed: int, logs: list[LogRun]
 ) -> float:
-    """Mean square of what is hidden over noise and the scatter of healthy robots, of the joint where it is largest."""
+    """Mean square of the hidden effects over noise and the scatter of healthy robots; largest over the joints."""
     if not hidden:
         return 0.0
     noise = stand.noise**2 + (2.0 * np.pi / stand.counts) ** 2 / 12.0
@@ -299,7 +299,7 @@ def over_scatter(
     replayed: Callable[..., np.ndarray], apart: Callable[..., np.ndarray], noise, described: RobotPlan, seconds: float,
     usual: UsualMotion, seed: int, logs: list,
 ) -> float:  # fmt: skip
-    """Mean square of what is hidden over noise and the scatter of healthy robots, of the coordinate where it is largest.
+    """Mean square of the hidden effects over noise and the scatter of healthy robots; largest over the coordinates.
 
     replayed(plan, log, push) -> readings of a robot without effects. apart(one, other) -> (K, n) their difference. noise: (n,).
     """

@@ -1,15 +1,15 @@
-"""Generators of blind test data: robotic fish in three forms of water that are not the strip model's and not the second robot's.
+"""Generators of blind test data: robotic fish in three water models other than the strip model and the second robot's.
 
     morison     inertia and drag strip by strip; momentum shed wherever the body narrows
-    foil        plates at an angle of attack: quasi-steady lift and drag, a fin that stalls and remembers (Wagner)
+    foil        plates at an angle of attack: quasi-steady lift and drag, a fin with stall and Wagner lag
     ellipsoid   one ellipsoid's added mass, quadratic damping by links, a tail fin by thin-foil theory
 
     generate("morison", effects, excitations, seed) -> [Trial]     trials with hidden effects
     parse(texts, seed, family) -> effects                          in the notation of `gap plant`
     page(family, effects, seed) -> dict                            readings of scales, knife edge and pendulum of that robot
-    detectable(family, effects, excitations, seed) -> dict         its visible size above noise and healthy robots
+    detectable(family, effects, excitations, seed) -> dict         its visible size over noise and healthy robots
 
-The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No fitter's room is imported. docs/search/generators.md.
+The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No package of a fit is imported. docs/search/generators.md.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -4,8 +4,8 @@
     n   the sensors' noise there;  d  standard deviation of healthy robots of the family there
     mean over records and channels of  mean s^2 / (n^2 + d^2)
 
-Detectable is a mean square above 5 (`BOUND`). Beside it stands the measure without d, which the second robot's benchmark uses.
-numba, which makes the generators' trials, is loaded at first use only: the benchmark's tables are read without it.
+An effect is detectable at a mean square above 5 (`BOUND`). The measure without d, which the second robot's benchmark uses, is
+given too. numba is loaded at first use only, so that the benchmark's tables can be read without it.
 """
 
 import hashlib
@@ -28,9 +28,9 @@ from fishmj.mjcf.reading import load_robot
 
 BOUND = 5.0
 HEALTHY = 8  # robots of the family
-FIRST = 700_000_000  # their seeds: beyond those that a benchmark draws
+FIRST = 700_000_000  # their first seed, above all seeds of a benchmark
 TABLES = ("joint", "pose", "power")
-NOTHING = {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}  # of no effect
+NOTHING = {"all": 0.0, "each": {}, "noise_only": 0.0, "each_noise_only": {}, "bound": BOUND, "healthy": 0}  # no effect
 
 
 class SensedChannels(NamedTuple):
@@ -51,7 +51,7 @@ def detectable(
         {"all": .., "each": {name: ..}, "noise_only": .., "each_noise_only": {..}, "bound": 5, "healthy": number of robots}
 
     Raises:
-        as `trials.generate`.
+        as `generator_trials.generate`.
     """
     from fishmj.gap.laboratory.generators.generator_trials import generate, robot_of
     from fishmj.gap.laboratory.generators.lab_sensors import sigmas
@@ -88,13 +88,13 @@ def mean_squares(
 
 
 def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, healthy: int = HEALTHY) -> list[np.ndarray]:
-    """Variance of healthy robots of a family in one experiment, (K, C) of joints, pose and power; kept on disk, made once."""
-    told = (family, robot, nuisance, healthy, FIRST, what.id, what.start, what.push, mujoco.__version__)
-    key = hashlib.sha256(repr(told).encode() + np.ascontiguousarray(what.commands).tobytes() + _sources()).hexdigest()[:32]
+    """Variance of healthy robots of a family in one experiment, (K, C) of joints, pose and power; cached on disk."""
+    identity = (family, robot, nuisance, healthy, FIRST, what.id, what.start, what.push, mujoco.__version__)
+    key = hashlib.sha256(repr(identity).encode() + np.ascontiguousarray(what.commands).tobytes() + _sources()).hexdigest()[:32]
     path = cache_folder() / "generators" / f"{key}.npz"
     try:
-        kept = read_npz(path)
-        return [kept[name] for name in TABLES]
+        stored = read_npz(path)
+        return [stored[name] for name in TABLES]
     except StoreError:
         pass
     from fishmj.gap.laboratory.generators.generator_trials import generate
@@ -108,7 +108,7 @@ def tolerance(family: str, what: Excitation, robot: Robot, nuisance: float, heal
 
 @cache
 def _sources() -> bytes:
-    """Hash of the code behind a healthy robot's swim."""
+    """Hash of the code that simulates a healthy robot."""
     here = Path(__file__).resolve().parent
     folders = (here, here.parent, here.parents[2] / "mjcf")
     files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
@@ -127,7 +127,7 @@ def channels(trial: Trial, sigma: Mapping[str, float]) -> list[SensedChannels]:
 
 
 def at(seen: SensedChannels, t: np.ndarray) -> np.ndarray:
-    """(K, C) values at other stamps, straight between."""
+    """Values (K, C) at other stamps, linear in between."""
     return np.stack([np.interp(t, seen.t, column) for column in seen.values.T], 1)
 
 
@@ -137,7 +137,7 @@ def spreads(others: list[SensedChannels], plain: SensedChannels) -> np.ndarray:
 
 
 def shares(hidden: list[SensedChannels], plain: list[SensedChannels], spread: list[np.ndarray]) -> tuple[float, float]:
-    """(mean square over noise and healthy robots, over noise alone), every record and channel alike."""
+    """(mean square over noise and healthy robots, over noise alone), averaged over records and channels."""
     both, alone = [], []
     for h, p, d in zip(hidden, plain, spread, strict=True):
         square, floor = (at(h, p.t) - p.values) ** 2, np.broadcast_to(p.sigma**2, p.values.shape)

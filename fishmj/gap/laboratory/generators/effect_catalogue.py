@@ -1,8 +1,8 @@
-"""Effects and faults that can be hidden in a generator's robot: effects of the catalogue in this room's formulas, and others.
+"""Effects and faults that a generator's robot can hide: effects of the catalogue, implemented independently, and faults.
 
-An effect of the catalogue has the name, the units and the bounds of `fishmj.effects`; its action on the robot is written here,
-mostly in MuJoCo's own fields. Effects that no generator can hide are refused by name: gains on the strip model's own terms
-(cross-flow, tail, Munk moment, wake memory, walls), turbulence, gears with play, .. Faults are in `uncatalogued_faults.py`.
+An effect of the catalogue has the name, units and bounds of `fishmj.effects`; its action on the robot is implemented here, mostly
+by fields of MuJoCo. Effects that no generator can hide are refused by name: gains on terms of the strip model (cross-flow, tail,
+Munk moment, wake memory, walls), turbulence, backlash, .. Faults are in `uncatalogued_faults.py`.
 """
 
 from collections.abc import Callable
@@ -21,9 +21,9 @@ from fishmj.gap.laboratory.random_streams import generators_stream
 LOTTERIES = ("random", "random_odd")
 
 
-# ----------------------------------------------------------------------------------------------- the catalogue, written once more
+# ------------------------------------------------------------------------------------------- the catalogue, implemented once more
 def added_to(field: str, *entry: int) -> Callable:
-    """Act of an effect that adds its one parameter to a field of `RobotParameters`, such as "camera.scale", or to one entry."""
+    """Returns an action that adds an effect's only parameter to a field of `RobotParameters` ("camera.scale") or to its entry."""
     *groups, key = field.split(".")
 
     def act(fish: RobotParameters, **values):
@@ -37,7 +37,7 @@ def added_to(field: str, *entry: int) -> Callable:
 
 
 def viscous_friction(fish: RobotParameters, damping):
-    """Sets MuJoCo's joint damping, beside the back-EMF; the motor feels the back-EMF alone."""
+    """Adds to MuJoCo's joint damping, which holds the back-EMF too; the motor has the back-EMF alone."""
     fish.specs.append(lambda spec: _more_damping(spec, fish, damping))
 
 
@@ -68,7 +68,7 @@ def clock_offset(fish: RobotParameters, offset, drift):
 
 
 def body_mass(fish: RobotParameters, mass, spread):
-    """Adds mass [kg]: a part by each link's share of the weight, like water under the skin, the rest as a point in the head."""
+    """Adds mass [kg]: the share `spread` in proportion to the links' masses, like water under the skin, the rest as a point."""
     own = np.array([link.mass for link in fish.robot.links])
     fish.mass += spread * mass * own / own.sum()
     fish.specs.append(lambda spec: _payload(spec, fish, (1.0 - spread) * mass))
@@ -157,7 +157,7 @@ def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float
 
     Missing values are drawn from the seed at typical size; `NAME:p=1` leaves the other parameters at their null.
 
-    Raises UnknownName, ConfigError: no such effect here, no number, a value out of bounds, an effect twice, none left to draw.
+    Raises UnknownName, ConfigError: no such effect here, no number, a value out of bounds, a repeated effect, none left to draw.
     """
     known = hidden()
     out: dict[str, dict[str, float]] = {}
@@ -167,14 +167,14 @@ def parse(texts: list[str], seed: int, family: str) -> dict[str, dict[str, float
         if name in LOTTERIES:
             left = [n for n, h in known.items() if h.catalogued == (name == "random") and n not in out]
             if main or listed is not None or not left:
-                raise ConfigError(f"{asked}: {name} draws one of the {len(left)} that are left, and its size")
+                raise ConfigError(f"{asked}: {name} draws effect and size, so give no value; {len(left)} effects are left")
             name = str(rng.choice(left))
         if name not in known:
             if name in effects.catalogue():
                 raise ConfigError(f"{asked}: generator {family} cannot hide {name}; it hides {', '.join(known)}")
             raise UnknownName("effect", name[:60], [*known, *LOTTERIES])
         if name in out:
-            raise ConfigError(f"{asked}: {name} is there already; say all of it in one NAME:p=1,q=2")
+            raise ConfigError(f"{asked}: {name} is given twice; write all its parameters in one NAME:p=1,q=2")
         values = known[name].draw(rng) if listed is None else dict(known[name].nulls)
         parameters = {p.name: p for p in known[name].parameters}
         for key, value in [(next(iter(parameters)), main)] if main else listed or ():

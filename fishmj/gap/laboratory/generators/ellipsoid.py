@@ -1,21 +1,21 @@
-"""Generator `ellipsoid`: the hull carries the water of one ellipsoid, is braked link by link, and pushes with a tail fin.
+"""Generator `ellipsoid`: added mass of one ellipsoid, quadratic damping of each link, and a lifting tail fin.
 
-    carried    hull of semi-axes a, b (height), c (width): k_1 = a0 / (2 - a0) along, k_2 = g0 / (2 - g0) across,
+    inertia    hull of semi-axes a, b (height), c (width): k_1 = a0 / (2 - a0) along, k_2 = g0 / (2 - g0) across,
                J = 4/15 pi rho a b c (a^2 - c^2)^2 (g0 - a0) / (2 (a^2 - c^2) + (a^2 + c^2) (a0 - g0)),
                a0 = a b c int_0^inf ds / ((a^2 + s) D),  D = sqrt((a^2 + s)(b^2 + s)(c^2 + s)), g0 with c^2   Lamb 1932, art. 114
                cut into the links' stretches: across k_2 rho pi b c (1 - x^2/a^2) per length, along and J by the same shares.
                Kirchhoff's terms make the Munk moment (m_y - m_x) u v; fin: rho pi/4 h^2 c / sqrt(1 + (h/c)^2), Brennen 1982
-    braked     each link at its middle: f_t = -(X + X_q |u|) u,  f_n = -Y |w| w - Y_l |u| w,  moment -N |r| r
+    damping    each link at its middle: f_t = -(X + X_q |u|) u,  f_n = -Y |w| w - Y_l |u| w,  moment -N |r| r
                second-order modulus of underwater vehicles: Fossen 1994, ch. 2; Prestero 2001 (MIT); shares by side area
                Y_l: vortex lift of a slender hull at the base of the head, Hoerner and Borst 1975, ch. 19
-    fin        thin foil of finite span that becomes a plate:  C_L = C_La g sin a p + C_90 (1 - g) sin a cos a,
+    fin        thin foil of finite span, a plate at large angles:  C_L = C_La g sin a p + C_90 (1 - g) sin a cos a,
                C_D = C_0 + (C_La g sin a p)^2 / (pi e A) + C_90 (1 - g) sin^2 a,
                C_La = 2 pi A / (A + 2), Prandtl 1921,  g = q^4 / (q^4 + sin^4 a),
                p = (1 + u / sqrt(u^2 + (w / 3)^2)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form);
                velocity and force at the quarter chord, lift along (V x t) x V
                Mason and Burdick 2000, ISER VI; Harper, Berkemeier and Grace 1998, IEEE J. Oceanic Eng. 23
 
-The water has no memory. Lift is at a right angle to the quarter chord's motion and does no work; everything else takes energy.
+The water has no memory. Lift is at a right angle to the quarter chord's motion and does no work; other terms dissipate energy.
 """
 
 from typing import NamedTuple
@@ -52,7 +52,7 @@ FRICTION_FIN = 0.02  # C_0
 
 
 class EllipsoidLaw(NamedTuple):
-    """Braking of the links at their middles, (N,), and the fin."""
+    """Damping of the links at their middles, (N,), and the fin."""
 
     x: np.ndarray  # m
     laminar: np.ndarray  # N s/m
@@ -88,7 +88,7 @@ def hull(a: float, b: float, c: float, rho: float) -> tuple[float, float, float]
 
 
 def build(robot: Robot, values) -> RobotWater:
-    """The water of one robot."""
+    """Builds the water of one robot."""
     geometry, rho, n = geometry_of(robot), robot.density_water, len(robot.links)
     stations = stations_of(robot, geometry)
     fin = fin_of(robot, stations)
@@ -149,7 +149,7 @@ def _least(added: np.ndarray) -> float:
 
 @inlined
 def forces(law, motion, memory, h, force):
-    """Writes force (N, 3): everything but inertia. No memory."""
+    """Writes force (N, 3): all terms but inertia. No memory."""
     n = law.x.shape[0]
     for i in range(n):
         u, r, f = motion[i, 0], motion[i, 2], force[i]

@@ -1,4 +1,4 @@
-"""Interface of a form of water: coefficients with tolerances and sources, and a compiled force law."""
+"""Interface of a water model: coefficients with tolerances and sources, and a compiled force law."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ from fishmj.mjcf.description import Robot
 
 
 class Coefficient(NamedTuple):
-    """One number of a water. tolerance: relative half width within which healthy robots of the family differ."""
+    """Coefficient of a water model. tolerance: relative half width of its draw for healthy robots of the family."""
 
     value: float
     tolerance: float
@@ -18,7 +18,7 @@ class Coefficient(NamedTuple):
 
 
 class RobotWater(NamedTuple):
-    """One robot's water. added: (N, 3, 3) at the links' origins; law: data of the compiled function; memory: its states."""
+    """Water of one robot. added: (N, 3, 3) at the links' origins; law: data of compiled code; memory: number of its states."""
 
     added: np.ndarray
     law: Any
@@ -40,6 +40,6 @@ class Family(NamedTuple):
 
 
 def drawn(family: Family, nuisance: float, rng: np.random.Generator) -> dict[str, float]:
-    """The coefficients of one healthy robot. nuisance: 0.1 draws within the tolerances, 0 uses the nominal values."""
+    """Draws the coefficients of one healthy robot. nuisance: 0.1 draws within the tolerances, 0 takes the nominal values."""
     size = nuisance / 0.1
     return {name: c.value * (1.0 + size * c.tolerance * rng.uniform(-1.0, 1.0)) for name, c in family.coefficients.items()}

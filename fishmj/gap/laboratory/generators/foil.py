@@ -1,4 +1,4 @@
-"""Generator `foil`: every slice of the body a plate at an angle of attack, the fin a wing that stalls and remembers.
+"""Generator `foil`: each slice of the body is a plate at an angle of attack, the fin a wing with stall and lag.
 
     slices     D = 1/2 rho S (2 c_f + c_90 sin^2 a) V^2 along the stream, L = 1/2 rho S l c_90 / 2 sin 2a V^2 across it
                form of Wang, Birch and Dickinson 2004, J. Exp. Biol. 207: C_L = 1.2 sin 2a, C_D = 1.4 - cos 2a, l = 1.2;
@@ -7,14 +7,14 @@
     fin        C_L = (1 - s) C_La sin a q + s 2 sin^2 a cos a,   C_D = 2 c_f + ((1 - s) C_La sin a q)^2 / (pi e A) + s 2 |sin a|^3
                C_La = 2 pi A / (2 + sqrt(A^2 + 4))      Helmbold 1942, Ringbuch der Luftfahrttechnik; A aspect ratio
                s = (1 - k) / (1 + exp((a_s - a) / d)) separated share, Newtonian plate      Beard and McLain 2012, ch. 4
-               k: kept share of a beating fin's leading-edge vortex, and so of the suction, at any angle (Dickinson et al. 1999)
+               k: share of leading-edge vortex and suction that a beating fin keeps at any angle (Dickinson et al. 1999)
                q = (1 + u / sqrt(u^2 + (w / 3)^2)) / 2 is 1 ahead, 0 astern, where the trailing edge leads (chosen form)
     lag        sin a of the lift is that of w_e = (1 - A1 - A2) w + A1 z1 + A2 z2,  z_k' = b_k (V / b) (w - z_k)
                w at 3/4 chord, b half a chord; A = 0.165, 0.335, b = 0.0455, 0.3      R. T. Jones 1940, NACA Report 681,
                for Wagner 1925; with a finite span b_k grows, (1 + 2/A), as the wake that matters is shorter (chosen form)
-    carried    plates across: rho pi/4 h^2 / sqrt(1 + (h/l)^2), l the body's length, for the fin its chord      Brennen 1982
+    inertia    plates across: rho pi/4 h^2 / sqrt(1 + (h/l)^2), l the body's length, for the fin its chord      Brennen 1982
 
-Lift is at a right angle to the slice's own motion through the water, so it does no work at any angle or lag; drag takes energy.
+Lift is at a right angle to the slice's motion through the water, so it does no work at any angle or lag; drag dissipates energy.
 """
 
 from typing import NamedTuple
@@ -47,7 +47,7 @@ COEFFICIENTS = {
 
 
 class FoilLaw(NamedTuple):
-    """Slices of all links in a row, `begin` (N + 1,) index of each link's first; the fin is one more plate of the last link."""
+    """Slices of all links in a row, `begin` (N + 1,) index of each link's first; the fin is another plate of the last link."""
 
     begin: np.ndarray
     x: np.ndarray  # (S,) m
@@ -69,7 +69,7 @@ class FoilLaw(NamedTuple):
 
 
 def build(robot: Robot, values) -> RobotWater:
-    """The water of one robot."""
+    """Builds the water of one robot."""
     geometry, rho = geometry_of(robot), robot.density_water
     stations = stations_of(robot, geometry)
     fin = fin_of(robot, stations)
@@ -142,7 +142,7 @@ def wing(law, u, w, behind, memory, h):
 
 @inlined
 def forces(law, motion, memory, h, force):
-    """Writes force (N, 3): everything but inertia. Advances the memory."""
+    """Writes force (N, 3): all terms but inertia. Advances the memory."""
     n = law.begin.shape[0] - 1
     for i in range(n):
         u, v, r, f = motion[i, 0], motion[i, 1], motion[i, 2], force[i]

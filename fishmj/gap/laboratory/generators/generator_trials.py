@@ -1,9 +1,9 @@
-"""Trials of a generator's robot: trial folders like a lab's, labelled synthetic, without any trace of the hidden effects.
+"""Trials of a generator's robot: like a lab's trials, labelled synthetic, without a trace of the hidden effects.
 
-    from fishmj import generators
+    from fishmj.gap.laboratory import generators
     trials = generators.generate("morison", {"command_latency": {"delay": 0.04}}, ["gait", "chirp"], seed=7)
 
-One seed is one robot (its constants) and one noise, whatever is hidden and for any number of experiments.
+A seed fixes the robot's constants and the noise, whatever is hidden and for any number of experiments.
 """
 
 from collections.abc import Callable, Iterable
@@ -21,15 +21,15 @@ from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 
-LINKS = (2, 8)  # that a fish may have
-PLACED = (0.0015, 0.005)  # m, rad: how well the fish is put at its start (chosen)
+LINKS = (2, 8)  # fewest and most of a fish
+PLACED = (0.0015, 0.005)  # m, rad, standard deviations of the start (chosen)
 
 
 def robot_of(
     family: str, effects: Effects, seed: int, *, nuisance: float = 0.1, robot: "str | Robot" = "fish",
     flow: tuple[float, float] = (0.0, 0.0),
 ) -> RobotParameters:  # fmt: skip
-    """One robot with hidden effects. flow: speed [m/s] and direction [rad] of the ordered stream.
+    """One robot with hidden effects. flow: speed [m/s] and direction [rad] of the set stream.
 
     Raises:
         UnknownName: no such generator, effect or parameter. ConfigError: an impossible value, fewer than 2 or more than 8 links,
@@ -55,12 +55,12 @@ def generate(
     family: str, effects: Effects, excitations: Iterable[str | Excitation], seed: int, noise: float = 1.0, nuisance: float = 0.1,
     robot: "str | Robot" = "fish", *, flow: tuple[float, float] = (0.0, 0.0), tick: Callable[[int], None] = lambda done: None,
 ) -> list[Trial]:  # fmt: skip
-    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+    """One trial per excitation, in order; a repeated one is a replicate with its own noise.
 
     Args:
         family: a name of `water_forms`. effects: {name: {parameter: value}}, SI; {} hides nothing.
-        noise: factor on every sensor's noise and on the error of placing; 0 leaves counts and latencies.
-        nuisance: relative half width of unmeasured constants; 0.1 uses each one's own tolerance.
+        noise: factor on the noise of every sensor and of the placing; 0 leaves quantisation and latencies.
+        nuisance: relative half width of unmeasured constants; 0.1 takes the tolerance of each.
         tick: receives the number of finished trials.
 
     Raises:
@@ -75,13 +75,13 @@ def generate(
 
 
 def laid_on(fish: RobotParameters, what: Excitation) -> np.ndarray:
-    """(T, J) commands of an experiment for the fish's joints."""
+    """Commands (T, J) of an experiment for the fish's joints."""
     given = np.asarray(what.commands, float)
     return given if given.shape[1] == fish.joints else excitation.bent(given, fish.joints)
 
 
 def record(fish: RobotParameters, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> TrueMotion:
-    """True motion in trial `index`."""
+    """Simulates trial `index`; returns the true motion."""
     commands = laid_on(fish, what)
     start = place_by_hand(what, *PLACED, generators_stream(seed, "placing", index), noise)
     radio = generators_stream(seed, "radio", index)
@@ -93,7 +93,7 @@ def trial_of(
     fish: RobotParameters, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str = "",
     flow: tuple[float, float] = (0.0, 0.0),
 ) -> Trial:  # fmt: skip
-    """Swims and measures: one trial with the sensors' readings."""
+    """Simulates one trial; returns the sensors' readings."""
     motion, draw = record(fish, what, seed, index, noise), lambda purpose: generators_stream(seed, purpose, index)
     tables = {
         "cmd": sent_commands(what.t, laid_on(fish, what)),

@@ -1,4 +1,4 @@
-"""The weighing table of a generator's robot, and the masses in MuJoCo's model of it."""
+"""Weighing table of a generator's robot, and the masses of its MuJoCo model."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -17,7 +17,7 @@ THREAD, APART = 1.0, 0.25  # m
 
 
 class Weight(NamedTuple):
-    """Readings of perfect instruments on the straight fish."""
+    """True values of the straight fish."""
 
     links: np.ndarray  # (N,) kg
     balance: float  # m from the nose
@@ -25,7 +25,7 @@ class Weight(NamedTuple):
 
 
 def weight(run: RobotSimulation) -> Weight:
-    """Weight from MuJoCo's model; parts that slide or hang in a link count as its own."""
+    """Weight from MuJoCo's model; added sliding or hinged bodies count to the link that holds them."""
     model, data = run.model, run.data
     mujoco.mj_resetData(model, data)
     mujoco.mj_kinematics(model, data)
@@ -43,7 +43,7 @@ def weight(run: RobotSimulation) -> Weight:
 
 
 def page(family: str, effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
-    """The page `measurements.toml` of the robot of a seed, three readings of each. Raises as `generator_trials.robot_of`."""
+    """Content of `measurements.toml` of a seed's robot, three readings per quantity. Raises as `generator_trials.robot_of`."""
     fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot)
     found, names = weight(RobotSimulation(fish)), [link.name for link in fish.robot.links]
     links, rng = dict(zip(names, found.links, strict=True)), generators_stream(seed, "weighing")

@@ -1,4 +1,4 @@
-"""Entry of what a generator can hide: an effect of the catalogue or a fault."""
+"""Entry of an effect of the catalogue, or of a fault, that a generator can hide."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
 
 
 class HiddenEntry(NamedTuple):
-    """An effect or fault that can be hidden. act(fish, **values) changes the robot's numbers."""
+    """Effect or fault to hide. act(fish, **values) changes the robot's constants."""
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -25,7 +25,7 @@ class HiddenEntry(NamedTuple):
         return {p.name: p.null for p in self.parameters}
 
     def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
-        """Values of typical size, log-uniform in the distance from the null, times strength; either side where signed."""
+        """Draws values of typical size: log-uniform distance from the null, times strength; random side if signed."""
         out = {}
         for p in self.parameters:
             low, high = (t - p.null for t in p.typical)

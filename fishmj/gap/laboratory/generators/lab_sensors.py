@@ -1,4 +1,4 @@
-"""Sensors of the lab: arriving packets, read angles, taken frames, metered current."""
+"""Sensors of the lab: packet arrivals, joint encoders, camera frames, power meter."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from fishmj.gap.laboratory.instruments import noise_sigmas, order_of_arrival, re
 
 
 def arrivals(net: RadioAndBus, sent: np.ndarray, rng: np.random.Generator, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """(times (K,) s, rows (K,)) at which packets sent at `sent` reach the servos, in order of arrival; lost ones are left out."""
+    """(times (K,) s, rows (K,)) of arrival at the servos of packets sent at `sent`, in order of arrival, without lost ones."""
     usual, tail, lost = rng.standard_exponential(len(sent)), rng.standard_exponential(len(sent)), rng.random(len(sent))
     at = sent + net.latency + noise * net.jitter * (usual - 1.0) + net.late * tail
     order = order_of_arrival(np.where(lost < net.loss, np.nan, at))
@@ -30,11 +30,11 @@ def poses(fish: RobotParameters, record: TrueMotion, rng: np.random.Generator, n
     cam: TankTracker = fish.camera
     t = np.arange(0.0, record.t[-1], cam.period)
     t = t + noise * cam.jitter * np.abs(rng.standard_normal(len(t)))
-    shown = t - cam.latency
-    x, y, yaw = (record.at(shown, k) for k in range(3))
+    exposure = t - cam.latency
+    x, y, yaw = (record.at(exposure, k) for k in range(3))
     x, y = x + cam.marker * np.cos(yaw), y + cam.marker * np.sin(yaw)
     for change in fish.seen:
-        x, y, yaw = change(shown, x, y, yaw, record)
+        x, y, yaw = change(exposure, x, y, yaw, record)
     size = (1.0 + cam.scale) * (1.0 + cam.lens * (x**2 + y**2))
     turn = np.exp(1j * cam.turned) * size * (x + 1j * y)
     error = noise * rng.standard_normal((3, len(t)))
@@ -56,5 +56,5 @@ def power(meter: BatteryMeter, record: TrueMotion, rng: np.random.Generator, noi
 
 
 def sigmas(fish: RobotParameters, noise: float) -> dict[str, float]:
-    """Standard deviation of each channel's noise, counts included, in its unit."""
+    """Standard deviation of each channel's noise, quantisation included, in the channel's unit."""
     return noise_sigmas(fish.network, fish.camera, fish.meter, fish.joints, noise)

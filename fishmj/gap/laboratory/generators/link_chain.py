@@ -1,4 +1,4 @@
-"""A chain of rigid links in water: from the state of the joints to the motion of every link, and back to forces on the joints.
+"""Chain of rigid links in water: maps the state of the joints to the motion of each link, and link forces to joint forces.
 
     origin    P_i = P_0 + sum_{m<i} d_m t_m,   V_i = V_0 + sum_{m<i} d_m W_m n_m,   W_i = psi' + the rates of the hinges before it
     relative  nu_i = (u, v, r): velocity of the origin through the water, link axes, and yaw rate against the water's own
@@ -6,7 +6,7 @@
 
 t, n are unit vectors along the link to the nose and to its left, A the (3, 3) added mass of a link at its origin: the front
 hinge, for the head the reference point. The part of p' that is A times the joints' acceleration goes into the mass matrix,
-J^T A J; the rest is a force. Water that flows carries the displaced mass along: rho V DU/Dt.
+J^T A J; the rest is a force. Accelerated water adds rho V DU/Dt on the displaced volume.
 """
 
 from typing import NamedTuple
@@ -19,10 +19,10 @@ MOTION = 12  # columns of `motion`: u, v, r; the link's yaw rate, t_x, t_y, bias
 
 
 class LinkChain(NamedTuple):
-    """Constants of the links for compiled code. N links, nv degrees of freedom: x, y, yaw, hinges, whatever else MuJoCo has."""
+    """Constants of the links for compiled code. N links, nv degrees of freedom: x, y, yaw, hinges, others of MuJoCo."""
 
     hinge: np.ndarray  # (N,) x of the rear hinge of a link along its own axis, m; the last entry is not used
-    first: np.ndarray  # (nv,) first link that a degree of freedom turns; N for one that turns none
+    first: np.ndarray  # (nv,) first link that a degree of freedom turns; N if it turns none
     centre: np.ndarray  # (N,) x of the link's middle, where it meets the flow, m
     added: np.ndarray  # (N, 3, 3) added mass at the origin: kg, kg m, kg m2
     displaced: np.ndarray  # (N,) kg
@@ -36,7 +36,7 @@ class ScratchArrays(NamedTuple):
 
     motion: np.ndarray  # (N, MOTION)
     jacobian: np.ndarray  # (N, 3, nv)
-    force: np.ndarray  # (N, 3) F_t, F_n, moment on each link, what `law` gives
+    force: np.ndarray  # (N, 3) F_t, F_n, moment on each link, from `law`
     mass: np.ndarray  # (nv, nv)
 
 

@@ -1,9 +1,9 @@
-"""Generator `morison`: inertia and drag strip by strip, momentum shed wherever the body narrows.
+"""Generator `morison`: inertia and drag of each strip, momentum shed wherever the body narrows.
 
     inertia    a = c_a rho pi/4 h^2 per length across, nothing along    Morison et al. 1950, Petroleum Transactions AIME 189;
                ellipse moving across its height: Lamb 1932, art. 71; fins less by their span: / sqrt(1 + (h/c)^2), Brennen 1982
     cross-flow f_n = -1/2 rho C h V^2 g(a) sign(w),  g = b |sin a| + (1 - b) sin^2 a,  sin a = w/V         loading function of
-               oblique cylinders by two terms, Casarella and Parsons 1970, Marine Technology Society Journal 4(4)
+               oblique cylinders with two terms, Casarella and Parsons 1970, Marine Technology Society Journal 4(4)
                C from a round to a flat section; a plate of finite span has 1.2 to 2, Hoerner 1965, ch. 3
     skin       f_t = -1/2 rho C_f F S |V| u on the wetted area of each link,  C_f = 0.075 / (log10 Re - 2)^2     ITTC 1957
                F = n (1 + 1.5 (d/l)^1.5 + 7 (d/l)^3) form factor of a streamlined body, Hoerner 1965, ch. 6; n: a beating body has
@@ -11,8 +11,8 @@
     shedding   where h falls towards the tail, a share s_b of -dm/dx leaves as a vortex sheet, at the last edge s_e of m_e:
                f_t = 1/2 m w^2,  f_n = -m u+ w      Lighthill 1970, J. Fluid Mech. 44; Wu 1971, J. Fluid Mech. 46
 
-The water has no memory: no stall, no lag. Every term but the inertia takes energy in any state: the sheet because
-(1/2 m w^2) u - m u w^2 <= 0 for u >= 0, and it is not shed backwards.
+The water has no memory: no stall, no lag. Every term but the inertia dissipates energy in any state: the sheet because
+(1/2 m w^2) u - m u w^2 <= 0 for u >= 0, and there is none for u < 0.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from fishmj.gap.laboratory.generators.water_compiler import entry, inlined
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import geometry_of
 
-SLOWEST = 1.2e4  # least Reynolds number of the friction line, which is for ships
+SLOWEST = 1.2e4  # least Reynolds number of the friction line, a ship correlation
 
 COEFFICIENTS = {
     "inertia_body": Coefficient(0.95, 0.08, "1", "ellipse 1 (Lamb 1932), a little less at a finite length"),
@@ -42,7 +42,7 @@ COEFFICIENTS = {
 
 
 class MorisonLaw(NamedTuple):
-    """Stations of all links in a row, `begin` (N + 1,) index of each link's first."""
+    """Stations of all links in sequence, `begin` (N + 1,) index of each link's first."""
 
     begin: np.ndarray
     x: np.ndarray  # (S,) m
@@ -57,7 +57,7 @@ class MorisonLaw(NamedTuple):
 
 
 def build(robot: Robot, values) -> RobotWater:
-    """The water of one robot."""
+    """Builds the water of one robot."""
     geometry, rho = geometry_of(robot), robot.density_water
     stations = stations_of(robot, geometry)
     fin = fin_of(robot, stations)
@@ -90,7 +90,7 @@ def build(robot: Robot, values) -> RobotWater:
 
 @inlined
 def sheet(mass, x, u, w, force):
-    """Adds the momentum of the mass per length that leaves at x."""
+    """Adds the force of the mass per length that is shed at x."""
     if u > 0.0:
         force[0] += 0.5 * mass * w * w
         force[1] -= mass * u * w
@@ -99,7 +99,7 @@ def sheet(mass, x, u, w, force):
 
 @inlined
 def forces(law, motion, memory, h, force):
-    """Writes force (N, 3): everything but inertia. No memory."""
+    """Writes force (N, 3): all terms but inertia. No memory."""
     n = law.skin.shape[0]
     for i in range(n):
         u, v, r, f = motion[i, 0], motion[i, 1], motion[i, 2], force[i]

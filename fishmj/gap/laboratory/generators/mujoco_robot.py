@@ -1,9 +1,9 @@
-"""The robot in MuJoCo: its bodies, joints, friction, actuators and time steps are MuJoCo's own; the water comes in beside them.
+"""Robot in MuJoCo: bodies, joints, friction, actuators and time steps are MuJoCo's own; the forces of the water are added.
 
-One step is MuJoCo's `mj_step` taken apart (Euler, implicit in joint damping). Between its mass matrix and the factorisation the
-water's added mass is put in, J^T A J, so that it is implicit and the friction constraints know it; all other forces of the water
-go into `qfrc_applied`. `frictionloss`, `damping`, `armature`, `stiffness`, gains and force ranges are the model's own fields, and
-effects edit them.
+A step calls the parts of MuJoCo's `mj_step` (Euler, implicit in joint damping). The water's added mass J^T A J is added to the
+mass matrix before its factorisation, so that it is implicit and acts in the friction constraints; other forces of the water are
+added to `qfrc_applied`. `frictionloss`, `damping`, `armature`, `stiffness`, gains and force ranges are fields of the model, which
+effects edit.
 
     supply     P = P_idle + sum max(V i, 0),  V = R F / K,  i = (F - k_b w) / K,  F the actuator's force   DC motor on a bridge
 """
@@ -25,7 +25,7 @@ LOOSE, SLOSH = "loose", "slosh"  # joints that faults add
 
 
 class TrueMotion(NamedTuple):
-    """True motion, a row a physics step. q, rate (T, nv): x, y, yaw, joints; volts, amps (T,) of the battery."""
+    """True motion, one row per physics step. q, rate (T, nv): x, y, yaw, joints; volts, amps (T,) of the battery."""
 
     t: np.ndarray
     q: np.ndarray
@@ -66,11 +66,11 @@ def compiled(fish: RobotParameters, step: float) -> mujoco.MjModel:
     try:
         return passive_slot.compiled(spec)
     except ValueError as error:
-        raise ConfigError(f"generator {fish.family.name}: no robot can be like that, {error}; hide less") from error
+        raise ConfigError(f"generator {fish.family.name}: impossible body, {error}; hide less") from error
 
 
 class RobotSimulation:
-    """One robot while it swims. Faults that act over time read and write its `model`, `data`, `share` and `push`."""
+    """Simulation of one robot. Faults that act over time read and write its `model`, `data`, `share` and `push`."""
 
     def __init__(self, fish: RobotParameters, step: float = STEP):
         self.fish, self.step = fish, step
@@ -88,8 +88,8 @@ class RobotSimulation:
         self.chain = LinkChain(hinge, first, centre, water.added, *rigid, rows.astype(np.int64), model.M_colind.astype(np.int64))
         self.law, self.memory, self.work = water.law, np.zeros(max(water.memory, 1)), work_of(n, model.nv)
         self.flow, self.push = fish.flow.copy(), np.zeros(model.nv)
-        self.share = np.ones(fish.joints)  # of gains and torque that is left
-        self.amps, self.own = 0.0, {}  # own: what faults keep
+        self.share = np.ones(fish.joints)  # remaining share of gains and torque
+        self.amps, self.own = 0.0, {}  # own: states of faults
         servo = fish.robot.servo
         self.idle, self.supply = servo.idle_power / servo.voltage, servo.voltage
 
@@ -120,7 +120,7 @@ class RobotSimulation:
         mujoco.mj_fwdConstraint(m, d)
 
     def weaken(self, t: float) -> None:
-        """Applies the supply's sag and the motors' warmth to MuJoCo's gains and force ranges."""
+        """Applies voltage sag and thermal derating to MuJoCo's gains and force ranges."""
         fish, m = self.fish, self.model
         left = self.share * np.exp(-fish.derating * t) * max(1.0 - fish.resistance * self.amps / self.supply, 0.3)
         m.actuator_gainprm[:, 0] = left * fish.kp
@@ -138,15 +138,15 @@ class RobotSimulation:
 
 
 class ServoProcessors:
-    """The servos' processors: from arriving commands to the target angles of MuJoCo's actuators."""
+    """Processors of the servos: turn arriving commands into target angles of MuJoCo's actuators."""
 
     def __init__(self, run: RobotSimulation, first: np.ndarray):
         self.run, self.settings = run, run.fish.firmware
         self.goal, self.since = first.copy(), 0.0
-        self.aim, self.begun, self.target = (self.shaped(first) for _ in range(3))
+        self.aim, self.ramp_start, self.target = (self.shaped(first) for _ in range(3))
 
     def shaped(self, command: np.ndarray) -> np.ndarray:
-        """A command after gain, counts and clamp."""
+        """Command after gain, quantisation and clamp."""
         f = self.settings
         c = command * (1.0 + f.gain)
         if f.coarse > 0.0:
@@ -155,13 +155,13 @@ class ServoProcessors:
         return np.round(c / f.step) * f.step if f.step > 0.0 else c
 
     def tick(self, t: float) -> None:
-        """Writes MuJoCo's ctrl, once a firmware period."""
+        """Writes MuJoCo's ctrl; called once per firmware period."""
         f = self.settings
         wanted = self.shaped(self.goal)
         if f.move_time > 0.0:
             if np.any(wanted != self.target):
-                self.begun, self.target, self.since = self.aim.copy(), wanted, t
-            wanted = self.begun + min((t + f.period - self.since) / f.move_time, 1.0) * (self.target - self.begun)
+                self.ramp_start, self.target, self.since = self.aim.copy(), wanted, t
+            wanted = self.ramp_start + min((t + f.period - self.since) / f.move_time, 1.0) * (self.target - self.ramp_start)
         if f.slowness > 0.0:
             most = f.period / f.slowness
             wanted = self.aim + np.clip(wanted - self.aim, -most, most)

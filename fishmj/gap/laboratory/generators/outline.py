@@ -1,4 +1,4 @@
-"""The drawn outline at Gauss points along each link, and its plates and strips: the start of every form of water."""
+"""Outline at Gauss points along each link, and its plates and strips: the geometry of every water model."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ import numpy as np
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
-PIECES = 3  # Gauss points between two drawn sections
+PIECES = 3  # Gauss points between two sections
 THIN = 0.2  # width over height, below which a section is a plate
 
 
@@ -54,7 +54,7 @@ class FinPlate(NamedTuple):
 
 
 def stations_of(robot: Robot, geometry: Geometry | None = None) -> list[Stations]:
-    """Gauss points of every link; the drawn sections are linear in between, so that areas and moments are exact."""
+    """Gauss points of every link. Sections are linear in between, so that areas and moments are exact."""
     g = geometry_of(robot) if geometry is None else geometry
     node, weight = np.polynomial.legendre.leggauss(PIECES)
     out = []
@@ -85,18 +85,18 @@ def fin_of(robot: Robot, stations: list[Stations]) -> FinPlate:
 
 
 def is_fin(stations: list[Stations], fin: FinPlate, link: int) -> np.ndarray:
-    """(K,) True for the stations of a link on the fin."""
+    """Mask (K,) of a link's stations on the fin."""
     on_last = link == len(stations) - 1
     return (stations[link].x <= fin.front) & on_last
 
 
 def ragged(parts: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """One array of all links' values (total,), and the index of each link's first (N + 1,)."""
+    """Concatenates the links' values (total,); returns also the index of each link's first (N + 1,)."""
     return np.concatenate(parts).astype(float), np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
 
 
 def swaying(stations: list[Stations], per_length: list[np.ndarray]) -> np.ndarray:
-    """(N, 3, 3) added mass of links that carry water across only, from (K,) [kg/m] per length at their stations."""
+    """Added mass (N, 3, 3) of links, across their axis only, from the values (K,) [kg/m] at their stations."""
     added = np.zeros((len(stations), 3, 3))
     for a, s, mass in zip(added, stations, per_length, strict=True):
         moments = [np.sum(mass * s.ds * s.x**k) for k in range(3)]

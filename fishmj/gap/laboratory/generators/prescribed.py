@@ -1,16 +1,16 @@
-"""Forces of a generator's water on its robot in prescribed motions, as in a towing tank: the truth for a fit.
+"""Forces of a generator's water in prescribed motions, as in a towing tank: true values for a fit.
 
-    prescribed("foil", seed=7) -> {"drag": 0.035, ..}       of the robot that `generate` swims with that seed
+    prescribed("foil", seed=7) -> {"drag": 0.035, ..}       of the robot that `generate` simulates with this seed
 
     drag, side_drag  N      of the straight fish towed ahead, and to its left, at `SPEED`
     yaw_drag         N m    of the straight fish turned about its reference point at `RATE`
-    thrust           N      mean force ahead over a beat of the fish that is carried ahead at `SPEED`, all joints following `BEAT`
-                            exactly, head held straight: the tail's thrust less the body's drag
+    thrust           N      mean force ahead over a beat of the fish towed ahead at `SPEED`, all joints following `BEAT`
+                            exactly, head held straight: the tail's thrust minus the body's drag
     surge, sway mass kg     force over acceleration of the straight fish at rest, ahead and to the left
-    yaw_mass         kg m2  moment over angular acceleration about the reference point, the same
+    yaw_mass         kg m2  moment over angular acceleration about the reference point, likewise
 
-It uses only this room's own force law (`family.Family.step`): Q(q, q', memory) - J^T A J q''. Steady motions run until a
-water with memory has forgotten its start.
+Only the force law of this package is used (`family.Family.step`): Q(q, q', memory) - J^T A J q''. Steady motions run until the
+memory of the start has decayed.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ from fishmj.mjcf.description import Robot
 SPEED, RATE = 0.2, 1.0  # m/s, rad/s
 BEAT = (1.0, np.radians(30.0), np.radians(60.0))  # Hz, rad, lag from joint to joint
 SETTLE = 15_000  # steps of a steady motion: Wagner's slow lag needs half a minute at these speeds
-BEATS = 2  # beats before the one that counts
+BEATS = 2  # beats before the averaged one
 UNITS = {
     "drag": "N",
     "side_drag": "N",
@@ -41,12 +41,12 @@ UNITS = {
 def prescribed(
     family: str, seed: int, effects: Effects | None = None, *, nuisance: float = 0.1, robot: "str | Robot" = "fish"
 ) -> dict[str, float]:
-    """The quantities above, by name; units in `UNITS`. The arguments are those of `generate`, and raise as there."""
+    """Quantities above by name, units in `UNITS`. Arguments and errors as in `generate`."""
     return of_fish(robot_of(family, effects or {}, seed, nuisance=nuisance, robot=robot))
 
 
 def of_fish(fish: RobotParameters) -> dict[str, float]:
-    """The quantities of one robot. Joints that a fault added are held at zero."""
+    """Quantities of one robot. Joints added by a fault are held at zero."""
     ahead, left = steady(fish, {0: SPEED}), steady(fish, {1: SPEED})
     run = RobotSimulation(fish)
     still = np.zeros(run.model.nv)
@@ -75,7 +75,7 @@ def steady(fish: RobotParameters, rates: Mapping[int, float]) -> np.ndarray:
 
 
 def thrust(fish: RobotParameters, frequency: float, amplitude: float, lag: float) -> float:
-    """Mean force ahead, N, over one beat of the fish carried at `SPEED`; its joints follow a sine of the given Hz, rad, rad."""
+    """Mean force ahead, N, over one beat of the fish towed at `SPEED`; its joints follow a sine of the given Hz, rad, rad."""
     run = RobotSimulation(fish)
     steps, omega = round(1.0 / frequency / STEP), 2 * np.pi * frequency
     phase = -lag * np.arange(fish.joints)

@@ -1,4 +1,4 @@
-"""One robot of a generator: every number of its body, servos, network, sensors and tank, which a hidden effect may change."""
+"""Parameters of a generator's robot: body, servos, network, sensors and tank, which hidden effects change."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -50,7 +50,7 @@ class TankTracker:
 class BatteryMeter:
     """Voltage and current of the battery lead."""
 
-    period: float = 0.02  # s, also its average
+    period: float = 0.02  # s, also the averaging time
     voltage_noise: float = 0.01  # V (chosen)
     current_noise: float = 0.02  # A (chosen)
     offset: float = 0.0  # effect, W
@@ -58,7 +58,7 @@ class BatteryMeter:
 
 @dataclass
 class ServoFirmware:
-    """The servo's processing of commands, 250 times a second."""
+    """Processing of commands in the servo, at 250 Hz."""
 
     period: float = 0.004  # s (chosen)
     step: float = 0.0  # rad, counts
@@ -72,7 +72,7 @@ class ServoFirmware:
 
 @dataclass
 class RobotParameters:
-    """A robot before it is built. Arrays a joint (J,) or a link (N,), SI. `each_step`, `specs`, `seen`, `read`: faults' own code.
+    """Robot before it is built. Arrays per joint (J,) or link (N,), SI. `each_step`, `specs`, `seen`, `read`: code of faults.
 
     each_step: f(run, t) before every physics step; specs: f(MuJoCo spec) before compilation;
     seen: f(camera's t, x, y, yaw, recording) -> (x, y, yaw); read: f(t, angles (K, J)) -> angles.
@@ -94,7 +94,7 @@ class RobotParameters:
     spring: np.ndarray = field(default_factory=lambda: np.zeros(0))
     zero: np.ndarray = field(default_factory=lambda: np.zeros(0))
     mass: np.ndarray = field(default_factory=lambda: np.zeros(0))  # kg on top of each link
-    com: float = 0.0  # m, the head's centre of mass moves forward
+    com: float = 0.0  # m, forward shift of the head's centre of mass
     inertia: float = 0.0  # kg m2 more in the head
     added: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))  # more added mass at the reference point
     drag: np.ndarray = field(default_factory=lambda: np.zeros(4))  # on the head: linear, quadratic, turning, lift
@@ -113,7 +113,7 @@ class RobotParameters:
         return self.robot.n_joints
 
     def water(self) -> RobotWater:
-        """Its water, with the effects' additions."""
+        """Water of the robot, with the effects' additions."""
         made = self.family.build(self.robot, self.coefficients)
         added = made.added.copy()
         added[0] += self.added
@@ -123,7 +123,7 @@ class RobotParameters:
 def healthy(
     robot: Robot, family: Family, seed: int, nuisance: float = 0.1, flow: tuple[float, float] = (0.0, 0.0)
 ) -> RobotParameters:
-    """A robot with nothing hidden, its unmeasured constants drawn from the seed. flow: ordered stream, m/s, m/s."""
+    """Robot without hidden effects; the seed draws its unmeasured constants. flow: set stream, m/s, m/s."""
     rng, servo, j = generators_stream(seed, "constants"), robot.servo, robot.n_joints
     coefficients = drawn(family, nuisance, rng)
 
@@ -142,9 +142,7 @@ def healthy(
         torque=np.full(j, servo.torque),
         friction=each(FRICTION, "friction"),
         armature=each(ARMATURE, "armature"),
-        network=RadioAndBus(
-            timing.bus_dt, timing.command_latency - firmware.period / 2
-        ),  # half a period is waited for the next tick
+        network=RadioAndBus(timing.bus_dt, timing.command_latency - firmware.period / 2),  # mean wait for the next tick
         camera=TankTracker(timing.camera_latency),
         firmware=firmware,
         spring=np.zeros(j),

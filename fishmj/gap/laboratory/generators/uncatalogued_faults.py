@@ -1,6 +1,6 @@
-"""Faults that no effect of the catalogue equals, in any family: the right answer of a search is that it does not know.
+"""Faults outside the catalogue, in any family: a search should leave them unexplained.
 
-Each is a few lines on the robot's numbers or on MuJoCo's model while it swims. None is one of the second robot's.
+Each changes the robot's constants, or MuJoCo's model during the swim. None occurs in the second robot.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
 
 
 def at(hook: str) -> Callable:
-    """Decorator: a change of the swim becomes the fault that adds it, with the fault's values, to a list of the robot.
+    """Decorator: turns a change of the swim into a fault, which appends it, with the fault's values, to a list of the robot.
 
     hook: the list, `each_step`, `seen` or `read`; its arguments come between the robot and the fault's values.
     """

@@ -1,4 +1,4 @@
-"""Compiles the water of this room; NaN stays NaN."""
+"""Compiles the water models of this package; NaN propagates."""
 
 from pathlib import Path
 

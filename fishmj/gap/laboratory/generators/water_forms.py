@@ -1,4 +1,4 @@
-"""The generators by name. Each form of water is loaded, and compiled, at its first use."""
+"""Generators by name. Each water model is imported and compiled at its first use."""
 
 from importlib import import_module
 
@@ -9,7 +9,7 @@ NAMES = ("morison", "foil", "ellipsoid")
 
 
 def get(name: str) -> Family:
-    """One family. Raises UnknownName, which lists them; MissingExtra without numba."""
+    """Returns a family. Raises UnknownName, which lists the families; MissingExtra: no numba."""
     if name not in NAMES:
         raise UnknownName("generator", name, NAMES)
     return import_module(f"fishmj.gap.laboratory.generators.{name}").FAMILY

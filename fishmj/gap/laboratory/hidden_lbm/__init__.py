@@ -1,1 +1,1 @@
-"""Logs of the flow solver with hidden effects or numbers, and the score of their estimates."""
+"""Logs of the flow solver with hidden effects or constants, and the score of their estimates."""

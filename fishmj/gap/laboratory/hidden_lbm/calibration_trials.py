@@ -1,13 +1,13 @@
-"""Calibration trials of a robot with hidden numbers, and the sealed file that holds them.
+"""Calibration trials of a robot with hidden constants, and the sealed file that holds these.
 
     fishmj campaign hidden_trials --water second                     seconds; all water is the second robot's
     fishmj campaign hidden_trials --water swims --domain laptop --repeats-swims 1 --seconds 8          a CPU, minutes
     fishmj campaign hidden_trials --water lbm --domain window_coarse --device cuda --tanks 12    a GPU, 38 s: all water
 
-Sine, square and impulse hung in air and put in water, swims at two beat rates, a coast-down; repeats of each; a page of
-weighings. The robot is `virtual_robot` with constants drawn anew: gain, damping, friction, latencies, masses; its swims may be
-the flow solver's, with a drawn slip ratio too. A fit may read everything in the folder except `sealed.json`, whose sha256
-is in the manifest; `hidden_score` opens it.
+The trials are sine, square and impulse in air and in water, swims at two beat rates and a coast-down, with repeats; a table of
+weighings is added. The robot is `virtual_robot` with redrawn gain, damping, friction, latencies and masses; the flow solver can
+simulate its swims, with a drawn slip ratio. A fit may read the whole folder except `sealed.json`, whose sha256 is in the
+manifest; `calibrate score` opens it.
 """
 
 import secrets
@@ -36,18 +36,18 @@ SWIMS = ("gait", "gait_slow", "tow_ahead")  # 1 Hz and 30 deg, another beat rate
 SECOND, SOLVER = "fishmj.gap.laboratory.virtual_robot", "fishmj.gap.laboratory.hidden_lbm.hidden"
 GENERATORS = {"second": (SECOND, SECOND), "swims": (SOLVER, SECOND), "lbm": (SOLVER, SOLVER)}  # --water: swims, bench in water
 MEDIA = ("air", "water")
-FIRST_SWIM = 100  # number of the first swim among the streams of noise
-ROUGHEST = 0.05  # 1 - s, of the roughest hull that is drawn; small ones are likelier
+FIRST_SWIM = 100  # index of the first swim in the noise streams
+ROUGHEST = 0.05  # largest drawn 1 - s; small values are likelier
 
 
 @dataclass(frozen=True)
 class Draw:
-    """One hidden number: a field of the virtual robot's constants, drawn evenly from low to high."""
+    """Hidden constant: a field of the virtual robot's constants, drawn uniformly from low to high."""
 
     field: str
     low: float
     high: float
-    factor: bool = False  # of the nominal value, else added to it
+    factor: bool = False  # multiplies the nominal value, else is added to it
 
 
 DRAWS = (
@@ -63,7 +63,7 @@ DRAWS = (
 
 
 def hidden(seed: int, medium: str = "water") -> RobotConstants:
-    """The robot of a seed: nuisance as in every virtual robot, then the hidden numbers."""
+    """Constants of a seed's robot: nuisance draw as in every virtual robot, then the hidden constants."""
     made = plant({}, seed, medium=medium)
     rng = random_streams.stream(seed, "calibration")
     fields = {}
@@ -75,12 +75,12 @@ def hidden(seed: int, medium: str = "water") -> RobotConstants:
 
 
 def slip_of(seed: int) -> float:
-    """Slip ratio of the hull of a seed; only the flow solver's swims have one."""
+    """Slip ratio of a seed's hull; only swims in the flow solver have one."""
     return 1.0 - ROUGHEST * float(random_streams.stream(seed, "slip").uniform()) ** 2
 
 
 def truth(made: RobotConstants) -> dict[str, float]:
-    """Result of a perfect calibration, in its own names, SI."""
+    """Exact values by the names of the calibration, SI."""
     m, n, c = made.motor, made.network, made.camera
     return {
         "kp": m.gain,
@@ -93,7 +93,7 @@ def truth(made: RobotConstants) -> dict[str, float]:
 
 
 def bench(repeats: int = REPEATS) -> Iterator[tuple[str, Excitation, str, int]]:
-    """(name, experiment, medium, repeat) of every trial of the servos."""
+    """Yields (name, experiment, medium, repeat) of every servo trial."""
     for medium in MEDIA:
         for id_ in BENCH:
             for repeat in range(repeats):
@@ -108,7 +108,7 @@ def swims(repeats: int = REPEATS, seconds: float | None = None) -> list[tuple[st
 
 
 def trials(seed: int, noise: float = 1.0, repeats: int = REPEATS, media: tuple[str, ...] = MEDIA) -> dict[str, Trial]:
-    """The servos' trials of the robot of `seed`, every repeat placed and measured anew; water is the second robot's."""
+    """Servo trials of a seed's robot in the second robot's water; each repeat has its own placing and noise."""
     robots = {medium: hidden(seed, medium) for medium in media}
     made = {}
     for index, (name, what, medium, repeat) in enumerate(bench(repeats)):
@@ -120,12 +120,12 @@ def trials(seed: int, noise: float = 1.0, repeats: int = REPEATS, media: tuple[s
 
 
 def first_of(name: str, repeat: int) -> str:
-    """The trial that this one repeats; "" for the first."""
+    """Name of the trial that this one repeats; "" for the first."""
     return f"{name[:-1]}1" if repeat else ""
 
 
 def second_swims(seed: int, repeats: int = REPEATS, seconds: float | None = None) -> dict[str, Trial]:
-    """Swims in the second robot's own water."""
+    """Swims in the second robot's water."""
     made, out = hidden(seed), {}
     for index, (name, what, repeat) in enumerate(swims(repeats, seconds), FIRST_SWIM):
         out[name] = trial_of(made, what, seed, index, 1.0, name, first_of(name, repeat), (0.0, 0.0))
@@ -133,22 +133,22 @@ def second_swims(seed: int, repeats: int = REPEATS, seconds: float | None = None
 
 
 def solver_trials(seed: int, args) -> dict[str, Trial]:
-    """Swims of the same robot in the flow solver, its hull with the slip ratio of the seed; with `--water lbm` the bench, too."""
+    """Swims of the same robot in the flow solver, with the seed's slip ratio; with `--water lbm` also the servo trials."""
     from fishmj.gap.laboratory.hidden_lbm.hidden import Job, run_jobs
-    from fishmj.gap.laboratory.hidden_lbm.hidden import trial_of as seen
+    from fishmj.gap.laboratory.hidden_lbm.hidden import trial_of as trial_of_run
     from fishmj.lbm_oracle.run.domain import preset
 
     made, slip, box = hidden(seed), slip_of(seed), preset(args.domain)
-    asked = [(i, *row) for i, row in enumerate(swims(args.repeats_swims, args.seconds), FIRST_SWIM)]
+    rows = [(i, *row) for i, row in enumerate(swims(args.repeats_swims, args.seconds), FIRST_SWIM)]
     if args.water == "lbm":
-        asked += [(i, name, what, repeat) for i, (name, what, medium, repeat) in enumerate(bench()) if medium == "water"]
+        rows += [(i, name, what, repeat) for i, (name, what, medium, repeat) in enumerate(bench()) if medium == "water"]
     waiting = [
         Job(made=made, what=what, seed=seed, index=i, name=name, replicate_of=first_of(name, repeat), slip=slip, domain=box)
-        for i, name, what, repeat in asked
+        for i, name, what, repeat in rows
     ]
     out = {}
     for run in run_jobs(waiting, args.device, args.tanks):
-        out[run.job.name] = seen(run)
+        out[run.job.name] = trial_of_run(run)
         console.say(f"{run.job.name}: {out[run.job.name].span[1]:.1f} s")
     return out
 
@@ -178,16 +178,16 @@ def main(argv: list[str]) -> int:
     """The command `campaign hidden_trials`. Returns the exit code."""
     parser = console.parser("campaign hidden_trials", __doc__)
     add = parser.add_argument
-    add("--out", type=console.out_folder, default=str(OUT), help="data set to write; refused when it is there")
-    add("--water", choices=GENERATORS, default="second", help="whose water: the second robot's, the solver's for swims, for all")
-    add("--repeats-swims", type=console.whole(1, 100), default=REPEATS, metavar="N", help="of every swim")
-    cut = "cut the swims to this length; by default they are run to their end"
+    add("--out", type=console.out_folder, default=str(OUT), help="data set to write; refused if not empty")
+    add("--water", choices=GENERATORS, default="second", help="water of the second robot, of the solver for swims, or for all")
+    add("--repeats-swims", type=console.whole(1, 100), default=REPEATS, metavar="N", help="trials of each swim")
+    cut = "cut the swims to this length; by default they run to their end"
     add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
-    add("--domain", choices=EVERY, default="paper", help="box of the flow solver")
-    add("--device", type=console.device, default="cpu", help=f"of the flow solver: {console.DEVICE_HELP}")
-    add("--tanks", type=console.whole(1, 256), default=1, help="swims side by side in the solver")
-    add("--seed", type=console.SEED, help="of the robot; by default drawn by the system")
-    add("--overwrite", action="store_true", help="replace the data set that is there")
+    add("--domain", choices=EVERY, default="paper", help="domain of the flow solver")
+    add("--device", type=console.device, default="cpu", help=f"device of the flow solver: {console.DEVICE_HELP}")
+    add("--tanks", type=console.whole(1, 256), default=1, help="swims that the solver runs at once")
+    add("--seed", type=console.SEED, help="seed of the robot; random by default")
+    add("--overwrite", action="store_true", help="replace the existing data set")
     args = parser.parse_args(argv)
     if args.out.is_dir() and any(args.out.iterdir()) and not (args.overwrite and (args.out / SEALED).is_file()):
         raise ConfigError(f"--out {args.out}: is not empty; choose another folder, or --overwrite one that this command wrote")
@@ -197,7 +197,7 @@ def main(argv: list[str]) -> int:
     made |= trials(seed, media=MEDIA if wet == SECOND else ("air",))
     generators = {"air": SECOND, "water": wet, "swim": swimming, "weighing": SECOND}
     write(args.out, seed, made, generators, overwrite=args.overwrite)
-    console.say(f"{args.out}: {len(made)} synthetic trials; the robot's numbers are sealed in {SEALED}")
+    console.say(f"{args.out}: {len(made)} synthetic trials; the robot's constants are sealed in {SEALED}")
     return console.OK
 
 

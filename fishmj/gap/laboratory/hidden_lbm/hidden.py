@@ -1,11 +1,11 @@
-"""The flow solver as a generator of logs: the immersed fish on the second robot's servos, radio and camera; hidden effects.
+"""Flow solver as generator of logs: immersed fish with the second robot's servos, radio and camera, and hidden effects.
 
     from fishmj.gap.laboratory.hidden_lbm.hidden import generate_lbm
     trials = generate_lbm({"command_latency": {"delay": 0.04}}, ["gait", "steps", "tow_ahead"], seed=7)
 
-Actuator, timing and measurement effects are the second robot's own code; masses are the immersed body's; a steady current is the
-solver's; other effects of the water are their force in the second robot's water, added to the solver's. One seed
-is one robot (servo, radio, masses, slip) and one noise, whatever is planted. Nothing in a trial names the planted effect.
+The second robot computes actuator, timing and measurement effects; masses are set in the immersed body, a steady current in the
+solver. Other effects of the water add their force in the second robot's water to the solver's. A seed fixes the robot (servo,
+radio, masses, slip) and the noise, whatever is planted. A trial does not name the planted effect.
 """
 
 from collections import deque
@@ -35,18 +35,18 @@ from fishmj.log.excitation import PERIOD, Excitation
 from fishmj.mjcf.description import Robot
 from fishmj.water.flow import Flow
 
-CARRY = 1.5  # s that a carriage takes the fish along, or holds it in a stream: after them the drag stays within a tenth
+CARRY = 1.5  # s of towing, or of holding in a stream, before the release; the drag then stays within a tenth
 WIDTH, PASSES = 3, 2  # of the immersed boundary
-SLIPPERY = 0.02  # at nuisance 0.1 the slip ratio is 1 to 0.998 of what is asked for: 15 % of the speed at s = 1
-HEAVY = 0.2  # of the nuisance: nobody weighs a fish to a tenth
-SHORTEST = 1.0  # s; less of an experiment is no trial
+SLIPPERY = 0.02  # at nuisance 0.1 the slip ratio is 1 to 0.998 of the requested one: 15 % of the speed at s = 1
+HEAVY = 0.2  # share of the nuisance that masses have; weighing is more exact
+SHORTEST = 1.0  # s, of a trial
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """One trial: a robot, an experiment, the seeds of its noise.
 
-    heavier: factor on all masses. slip, sharpness: of the boundary. flow: ordered stream, m/s and rad. hand: seed of
+    heavier: factor on all masses. slip, sharpness: of the boundary. flow: set stream, m/s and rad. hand: seed of
     placing and packet delays, in place of the robot's own.
     """
 
@@ -71,23 +71,23 @@ class Job:
 
     @property
     def steps(self) -> int:
-        """Number of time steps of the domain, the coarsest water's."""
+        """Number of time steps of the domain's coarsest grid."""
         return round((self.what.seconds + (CARRY if self.carried else 0.0)) / self.domain.dt)
 
     @property
     def stream(self) -> np.ndarray:
-        """(2,) the ordered stream and a steady current, m/s."""
+        """Set stream plus steady current (2,), m/s."""
         tank = self.made.tank
         return np.array([tank.flow_x + tank.current_x, tank.flow_y + tank.current_y])
 
     @property
     def carried(self) -> bool:
-        """Returns True if a carriage takes the fish along, or holds it in a stream, before it lets go."""
+        """True if a carriage tows the fish, or holds it in a stream, before the release."""
         return any(self.what.push) or bool(np.any(self.stream))
 
 
 class HiddenRun(Run):
-    """A `Run` on the second robot's servos; `tick` ignores the command, since the queue has them all.
+    """`Run` with the second robot's servos; `tick` ignores its command, since the queue holds all commands.
 
     Raises OracleUnstable, ConfigError: the job could not be set up.
     """
@@ -115,13 +115,13 @@ class HiddenRun(Run):
         return round(self.job.what.seconds / PERIOD)
 
     def recording(self) -> StateRecording:
-        """Every finished tick, a row a millisecond."""
+        """Recording of all finished ticks, one row per millisecond."""
         whole = self.electronics.recording()
         rows = round(self.ticks * PERIOD * 1000)
         return StateRecording(whole.t[:rows], whole.data[:rows])
 
     def _carry(self, start: np.ndarray) -> None:
-        """Carries the fish along, or holds it, joints still, until t = 0 at `start`."""
+        """Tows or holds the fish, with fixed joints, so that it is at `start` at t = 0."""
         dt, push = self.coupled.body.dt, self.job.what.push
         steps, still = round(CARRY / dt), np.zeros(self.joints)
         before = carriage(start, push, CARRY)
@@ -142,7 +142,7 @@ class HiddenRun(Run):
 class ElectronicsDriver:
     """Joint torques from the electronics for one tick; a joint held by friction is prescribed not to move."""
 
-    power = 0.0  # their own record has it
+    power = 0.0  # recorded by the electronics
 
     def __init__(self, electronics: Electronics, coupled: FluidStructure, tick: int):
         self.electronics, self.body, self.began = electronics, _hidden(coupled), tick * PERIOD
@@ -150,7 +150,7 @@ class ElectronicsDriver:
         electronics.place(self.body)
 
     def actuate(self, step: int) -> tuple[np.ndarray, np.ndarray]:
-        """Sets the joints' law for one step; returns the flags of prescribed motions and their rates, zero."""
+        """Sets the joints' law for one step; returns flags of the prescribed motions, and their rates, which are zero."""
         self.electronics.actuate(self.body, self.began + step * self.body.dt)
         fixed = np.concatenate([np.zeros(3), self.electronics.held])
         return fixed, np.zeros(len(fixed))
@@ -168,7 +168,7 @@ def _hidden(coupled: FluidStructure) -> HiddenBody:
 
 
 def carriage(start: np.ndarray, push, before: float) -> np.ndarray:
-    """Pose (3,) at `before` s ahead of t = 0 of a carriage with steady velocity `push` in its own axes, at `start` at t = 0."""
+    """Pose (3,) of a carriage, `before` s before it reaches `start` at t = 0 with constant velocity `push` in its own axes."""
     u, v, r = push
     turned = -r * before
     yaw = start[2] + turned
@@ -182,7 +182,7 @@ def carriage(start: np.ndarray, push, before: float) -> np.ndarray:
 
 
 def _stage(job: Job, device: str, pose: np.ndarray, joints: np.ndarray) -> SwimSetup:
-    """Fish and water at the start; the stream and a steady current are the water's own."""
+    """Fish and water at the start; the water carries the stream and a steady current."""
     flow = Flow(speed=float(np.hypot(*job.stream)), direction=float(np.arctan2(job.stream[1], job.stream[0])))
     x, y, yaw = pose.tolist()
     grid: dict[str, Any] = {"domain": job.domain, "device": device, "width": WIDTH, "passes": PASSES}
@@ -205,17 +205,17 @@ def generate_lbm(
     tanks: int = 1,
     say: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
-    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+    """One trial per excitation, in order; a repeated one is a replicate with its own noise.
 
     Args:
-        effects, noise, flow: as `virtual_robot.generate`. nuisance: relative half width of the servo's and radio's constants; a
-            fifth of it that of the masses, and slip is drawn between `slip` and (1 - 0.02 nuisance) `slip`.
+        effects, noise, flow: as in `virtual_robot.generate`. nuisance: relative half width of servo and radio constants; masses
+            have a fifth of it, and slip is drawn from (1 - 0.02 nuisance) `slip` to `slip`.
         domain: box of water, or its name; "laptop" is a preview. slip: ratio of the hull. robot: description, file or name.
-        tanks: experiments side by side.
+        tanks: experiments that run at once.
 
     Raises:
-        UnknownName, ConfigError: as `virtual_robot.generate`; no such domain. OracleUnstable: an experiment could not be set up,
-            or less than a second of it was sound.
+        UnknownName, ConfigError: as in `virtual_robot.generate`; no such domain. OracleUnstable: an experiment could not be set
+            up, or less than a second of it is valid.
     """
     waiting = jobs(effects, excitations, seed, noise, nuisance, domain, slip, flow=flow, robot=robot)
     order = [job.name for job in waiting]
@@ -238,10 +238,10 @@ def jobs(
     flow: tuple[float, float] = (0.0, 0.0),
     robot: "str | Robot" = "fish",
 ) -> list[Job]:
-    """The experiments of one robot, not yet run; arguments as `generate_lbm`."""
+    """Experiments of one robot, to be run; arguments as in `generate_lbm`."""
     box = preset(domain) if isinstance(domain, str) else domain
     if not 0.0 <= slip <= 1.0:
-        raise ConfigError(f"slip = {slip}; a ratio from 0, water that sticks to the hull, to 1, water that slides along it")
+        raise ConfigError(f"slip = {slip}; expected a ratio from 0 (no slip) to 1 (free slip)")
     made = plant(effects, seed, nuisance=nuisance, robot=robot, flow=flow)
     rng = random_streams.stream(seed, "immersed")
     heavier, smooth = 1.0 + HEAVY * nuisance * rng.uniform(-1, 1), slip * (1.0 - SLIPPERY * nuisance * rng.uniform(0, 1))
@@ -254,7 +254,7 @@ def jobs(
 
 
 def run_jobs(waiting: "Iterable[Job] | Waiting", device: str = "cpu", tanks: int = 1) -> Iterator[HiddenRun]:
-    """Runs jobs, `tanks` side by side; yields them as they finish or stop. Of several devices (`spread`) each takes its part."""
+    """Runs jobs, `tanks` at once; yields each run when it ends. Several devices (`spread`) share the queue."""
     queue: Waiting = deque(waiting) if isinstance(waiting, Iterable) else waiting
 
     def start(job: Job) -> TankRun:
@@ -286,10 +286,10 @@ class OwnedJobs:
 
 
 def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = None) -> Trial:
-    """The sensors' readings of a finished run; of a failed run, its sound part.
+    """Sensor readings of a finished run, or of the valid part of a failed run.
 
-    noise: factor on the sensors' noise in place of the job's. draw: number of the trial that selects their noise, by default the
-    job's. Raises OracleUnstable: less than a second of it was sound.
+    noise: factor on the sensors' noise in place of the job's. draw: index of the noise draw, by default the job's. Raises
+    OracleUnstable: less than a second is valid.
     """
     job, made, what = run.job, run.job.made, run.job.what
     record, ticks = run.recording(), run.ticks
@@ -299,7 +299,7 @@ def trial_of(run: HiddenRun, *, noise: float | None = None, draw: int | None = N
         record = record._replace(t=record.t[:rows], data=record.data[:rows])
     if ticks * PERIOD < SHORTEST:
         raise OracleUnstable(
-            f"{job.name}: {ticks * PERIOD:.2f} s were sound; {run.stopped}. Another seed or a finer grid may hold"
+            f"{job.name}: only {ticks * PERIOD:.2f} s are valid; {run.stopped}. Try another seed or a finer grid"
         )
     tables = {"cmd": sent_commands(what.t[:ticks], what.commands[:ticks])}
     factor, number = job.noise if noise is None else noise, job.index if draw is None else draw

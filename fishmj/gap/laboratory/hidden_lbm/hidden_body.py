@@ -1,17 +1,17 @@
-"""The solver's fish with a hidden difference: other masses, forces and added masses of an effect, servos by `Electronics`.
+"""Fish of the solver with hidden changes: masses, forces and added masses of effects, and servos by `Electronics`.
 
     f  = T^T (f_effect - f_null),   A = T^T (A_effect - A_null) T          W_k = psi' + j_1' + .. + j_k'  in T
 
-The contribution of a hydrodynamic effect in the second robot's own water, at the same state, is added to the solver's: force
-explicitly, added mass in the mass matrix. Masses, balance and inertia are the MuJoCo body's own.
+A hydrodynamic effect adds its contribution in the second robot's water, at the same state: the force explicitly, the added mass
+in the mass matrix. Masses, balance and inertia are set in the MuJoCo body.
 
     tau_j ~ a_j - D_j w_j      over one step of the water, a_j = P_j / dt + D_j w_j*
 
-The solver solves for fish and water together and needs each joint's torque in that form. Firmware, bridge, gears and friction of
-the second robot run 1 ms at a time; they run ahead through the step with the second robot's own water as a prediction of the
-joints' motion. P_j is their impulse, friction included, w_j* their final rate, D_j the mean slope of back-EMF and grease. If the
-solver's water moves the joint otherwise, the slope corrects the torque, implicitly. A joint that friction held all the time is
-not moved at all (`held`): its row of the solve is w_j = 0.
+The solver couples fish and water implicitly and needs each joint's torque in that form. Firmware, bridge, gears and friction of
+the second robot run ahead through the step, 1 ms at a time; the second robot's water predicts the joints' motion. P_j is their
+impulse, friction included, w_j* their final rate, D_j the mean slope of back-EMF and viscous friction. If a joint moves
+otherwise in the solver, the slope corrects the torque implicitly. A joint that friction holds during the whole step is fixed
+(`held`): its row of the solve is w_j = 0.
 """
 
 from math import exp
@@ -33,16 +33,16 @@ from fishmj.lbm_oracle.immersed.driven_body import DrivenBody
 from fishmj.mjcf import build
 
 IMPULSE, SLOPE, END, FASTEST, TORQUE = range(5)  # columns of `law`
-HELD = 1e-8  # rad/s: friction holds
-REAL = ("flow_x", "flow_y", "current_x", "current_y")  # of the tank: the solver's water moves so by itself
+HELD = 1e-8  # rad/s, below which friction holds a joint
+REAL = ("flow_x", "flow_y", "current_x", "current_y")  # fields of the tank that the solver's water has itself
 
 
 @entry
 def ahead(body, water, motor, tank, odd, zero, gust, arrivals, commands, s, record, work, law):
-    """Runs the servos len(record) milliseconds ahead; advances `s`, its places and rates only as a prediction.
+    """Runs the servos len(record) milliseconds ahead; advances `s`, whose positions and rates are a prediction.
 
     Args:
-        as `virtual_robot.loop.advance`; a joint's rotor counts in the prediction and belongs into the solver's mass matrix, too.
+        as in `virtual_robot.loop.advance`. The rotor inertia is part of the prediction and of the solver's mass matrix.
         law: (J, 5) written: impulse N m s, slope summed over time N m s^2/rad, rate at the end, greatest rate rad/s, scratch.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
@@ -98,7 +98,7 @@ def forces(body, water, tank, odd, gust, s, stream, A, f, h):
 
 
 class HiddenBody(DrivenBody):
-    """A `DrivenBody` with a virtual robot's masses; its joints follow a law tau = a - D w."""
+    """`DrivenBody` with a virtual robot's masses, whose joints follow tau = a - D w."""
 
     def __init__(self, made: RobotConstants, dt: float, heavier: float = 1.0):
         super().__init__(build(made.robot, "planar", bare=True), DisplacedWater.of(made.robot), dt)
@@ -119,11 +119,11 @@ class HiddenDifference:
         rigid = HullConstants(mass=made.hull.mass, com=made.hull.com, inertia=made.hull.inertia)
         plain = nominal(made.robot)
         tank = made.tank._replace(**{key: value for key, value in plain.tank._asdict().items() if key not in REAL})
-        drawn = [key for key in made.water._fields if key not in made.water._field_defaults]  # that every robot has: no effects
-        kept = {key: getattr(made.water, key) for key in drawn}
+        drawn = [key for key in made.water._fields if key not in made.water._field_defaults]  # fields of every robot, not effects
+        nuisance = {key: getattr(made.water, key) for key in drawn}
         self.pair = (
             (made.body, made.water, made.tank, made.odd, gust),
-            (body_of(made.robot, made.sections, rigid), plain.water._replace(**kept), tank, UncataloguedEffects(), STILL),
+            (body_of(made.robot, made.sections, rigid), plain.water._replace(**nuisance), tank, UncataloguedEffects(), STILL),
         )
         self.wakes = [np.zeros(6), np.zeros(6)]
         self.absolute = absolute(made.robot.n_joints)
@@ -159,9 +159,9 @@ class Queue(NamedTuple):
 
 
 class Electronics:
-    """One robot's electronics on the joints of the solver's fish: commands arrive, servos push, everything is recorded.
+    """Electronics of one robot on the joints of the solver's fish: receives commands, drives the servos, records all.
 
-    Per step of the water `actuate` runs the servos ahead and gives the solver their law, `follow` takes the solver's state.
+    In each step of the water, `actuate` runs the servos ahead and sets their law; `follow` takes the solver's state.
 
     Args:
         made: the robot. state: at t = 0. queue: arriving commands with times. gust: weather of the second robot's water (G, 2).
@@ -174,15 +174,15 @@ class Electronics:
         self.law, self.held = np.zeros((self.joints, 5)), np.zeros(self.joints, bool)
         self.rows: list[np.ndarray] = []  # one array (n, 8 + 4 J) a step
         self._work, self._tick, self._next = workspace(self.joints), -1, 0.0
-        self._kept: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
+        self._tick_start: tuple[list[np.ndarray], int, float] = ([], 0, 0.0)
 
     def begin_tick(self, tick: int) -> None:
         """Prepares an attempt at a tick: a second attempt starts from the same state as the first."""
         arrays = (*self.state, *self.difference.wakes)
         if tick != self._tick:
-            self._tick, self._kept = tick, ([a.copy() for a in arrays], len(self.rows), self._next)
+            self._tick, self._tick_start = tick, ([a.copy() for a in arrays], len(self.rows), self._next)
             return
-        saved, rows, self._next = self._kept
+        saved, rows, self._next = self._tick_start
         for array, old in zip(arrays, saved, strict=True):
             array[:] = old
         del self.rows[rows:]
@@ -194,13 +194,13 @@ class Electronics:
             force, mass = self.difference(self.state, body.dt)
             body.applied[:3], body.added_mass = force[:3], mass
             extra = force[3:]
-        if time >= self._next - 1e-9:  # steps finer than the servos' share a law
-            self._send_ahead(max(1, round(body.dt / H)))
+        if time >= self._next - 1e-9:  # water steps finer than the servos' share a law
+            self._run_ahead(max(1, round(body.dt / H)))
         seconds = max(body.dt, H)
         slope = self.law[:, SLOPE] / seconds
         body.set_torque(self.law[:, IMPULSE] / seconds + slope * self.law[:, END] + extra, slope)
 
-    def _send_ahead(self, steps: int) -> None:
+    def _run_ahead(self, steps: int) -> None:
         made, q = self.made, self.queue
         record = np.empty((steps, len(columns(self.joints))))
         first = int(np.searchsorted(q.times, self.state.clock[0] - H))
@@ -220,13 +220,13 @@ class Electronics:
             record[:, : len(now)] = record[0, : len(now)] + share * (now - record[0, : len(now)])
 
     def place(self, body: HiddenBody) -> None:
-        """Copies places and rates of the body, links by absolute angle."""
+        """Copies positions and rates of the body, as absolute angles of the links."""
         q, v = body.data.qpos, body.data.qvel
         self.state.z[:2], self.state.rate[:2] = q[:2], v[:2]
         self.state.z[2:], self.state.rate[2:] = np.cumsum(q[2:]), np.cumsum(v[2:])
 
     def recording(self) -> StateRecording:
-        """Everything so far, a row a millisecond."""
+        """Recording so far, one row per millisecond."""
         data = np.concatenate(self.rows)
         return StateRecording(np.arange(len(data)) * H, data)
 

@@ -37,23 +37,23 @@ def main(argv: list[str]) -> int:
     """The command `campaign hidden`. Returns the exit code."""
     parser = console.parser("campaign hidden", __doc__)
     add = parser.add_argument
-    add("--sets", type=console.whole(1, 10_000), default=1, metavar="N", help="data sets, a robot each")
+    add("--sets", type=console.whole(1, 10_000), default=1, metavar="N", help="data sets, each of another robot")
     named = "none|random|NAME[=value]"
-    add("--effects", type=console.text, nargs="+", default=["none"], metavar=named, help="one a set, round and round")
+    add("--effects", type=console.text, nargs="+", default=["none"], metavar=named, help="one per set, in rotation")
     add("--model", type=console.text, default="fish", help="the robot, name or TOML file (default fish)")
     add("--excitations", type=console.text, default="designed", help="designed, casual, dry, all, or ids with commas")
-    cut = "cut every experiment to this length; by default they are run to their end"
+    cut = "cut every experiment to this length; by default they run to their end"
     add("--seconds", type=console.number(1, 600), metavar="S", help=cut)
-    add("--seed", type=console.SEED, default=0, help="of set 0; set i has seed + i")
+    add("--seed", type=console.SEED, default=0, help="seed of set 0; set i has seed + i")
     add("--noise", type=console.number(0, 100), default=1.0, help="factor on the sensors' noise")
-    add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of what nobody measured")
-    add("--slip", type=console.number(0, 1), default=1.0, help="ratio of the hull, quoted at the paper's grid")
-    add("--domain", choices=EVERY, default="window_coarse", help="box of water; laptop is a preview")
+    add("--nuisance", type=console.number(0, 0.5), default=0.1, help="relative half width of unmeasured constants")
+    add("--slip", type=console.number(0, 1), default=1.0, help="slip ratio of the hull, quoted at the paper's grid")
+    add("--domain", choices=EVERY, default="window_coarse", help="domain of the solver; laptop is a preview")
     add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)
-    many = f"experiments side by side on each device; by default {ON_GPU} on a GPU, else 1"
+    many = f"experiments at once on each device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), help=many)
-    add("--out", type=console.out_folder, help="folder of data sets; goes on with what is there; needed unless --dry-run")
-    add("--truth", type=console.out_file, help="file for what is hidden, outside of --out; needed as --out is")
+    add("--out", type=console.out_folder, help="folder of data sets, continued if it exists; required unless --dry-run")
+    add("--truth", type=console.out_file, help="file for the hidden effects, outside --out; required unless --dry-run")
     add("--dry-run", action="store_true", help="print plan and cost, and stop")
     args = parser.parse_args(argv)
     _apart(args)
@@ -83,9 +83,9 @@ def main(argv: list[str]) -> int:
 
 
 def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) -> dict[str, str]:
-    """Runs the missing part of `out`; a complete set gets its manifest. Returns the trials without a sound part, with reasons.
+    """Runs the missing part of `out`; a complete set gets its manifest. Returns trials without a valid part, with reasons.
 
-    device: one, or several as for `devices_of`. tanks: side by side on each.
+    device: one, or several as for `devices_of`. tanks: trials at once on each.
     """
     waiting: list[tuple[tuple[str, str, int], Job]] = []  # set, name and steps of a job, and the job
     lost: dict[str, str] = {}
@@ -109,7 +109,7 @@ def collect(out: Path, plan: dict[str, list[Job]], device: str, tanks: int = 1) 
 
 
 def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int) -> Iterator[tuple[tuple, Trial | str]]:
-    """Trials of jobs on one device (`spread`), each with its job's key; the reason in place of a trial without a sound part."""
+    """Trials of jobs on one device (`spread`), each with its job's key; the reason in place of a trial without a valid part."""
     jobs_of = OwnedJobs(waiting)
     for run in run_jobs(jobs_of, device, tanks):
         made: Trial | str
@@ -121,7 +121,7 @@ def on_device(waiting: Waiting, device: str, go_on: GoOn, *, tanks: int) -> Iter
 
 
 def sized(args) -> tuple[int, int]:
-    """(trials, time steps) of all sets, from the plan of one set an effect: the sets take turns at them. Raises as `plan_of`."""
+    """(trials, time steps) of all sets, from one set per effect, since sets take effects in rotation. Raises as `plan_of`."""
     few = list(plan_of(args, min(args.sets, len(args.effects))).values())
     times = [len(range(i, args.sets, len(args.effects))) for i in range(len(few))]
     pairs = list(zip(times, few, strict=True))
@@ -152,16 +152,16 @@ def _cut(what: Excitation, seconds: float | None) -> Excitation:
 def _apart(args) -> None:
     """Checks the places of trials and truth, before anything is planned.
 
-    Raises ConfigError: not stated, or the truth would lie among the trials.
+    Raises ConfigError: no place given, or the truth would lie among the trials.
     """
     if None in (args.out, args.truth) and not args.dry_run:
-        raise ConfigError("campaign hidden: say where: --out FOLDER for the trials and --truth FILE for what is hidden in them")
+        raise ConfigError("campaign hidden: needs --out FOLDER for the trials and --truth FILE for the hidden effects")
     if None not in (args.out, args.truth):
         hidden_dataset.apart(args.out, args.truth)
 
 
 def _seal(args) -> None:
-    """Writes the hidden effects before anything is run; a later call must ask for the same."""
+    """Writes the hidden effects before the runs. Raises ConfigError: an earlier call had other options."""
     asked = {key: getattr(args, key) for key in ("sets", "seed", "noise", "nuisance", "slip", "domain", "excitations", "seconds")}
     asked |= {} if args.model == "fish" else {"model": args.model}
     hidden = {f"set_{i:03d}": {"effects": effects_of(args, i), "seed": args.seed + i} for i in range(args.sets)}

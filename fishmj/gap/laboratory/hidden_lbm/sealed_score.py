@@ -1,4 +1,4 @@
-"""Opens the seal: fitted numbers against the hidden ones. No fit imports this; `calibrate score` calls it."""
+"""Compares fitted constants with the sealed ones. No fit imports this; `calibrate score` calls it."""
 
 import shlex
 from pathlib import Path
@@ -12,7 +12,7 @@ from fishmj.gap.laboratory.hidden_lbm import calibration_trials
 
 def main(argv: list[str]) -> int:
     """Compares the [calibration.*] blocks of a fish file with the seal. Returns the exit code."""
-    parser = console.parser("calibrate score", "Fitted numbers against the sealed ones of synthetic trials.")
+    parser = console.parser("calibrate score", "Compares fitted constants with the sealed ones of synthetic trials.")
     shipped = calibration_trials.OUT if calibration_trials.OUT.is_dir() else calib_folder() / "trials"
     parser.add_argument("--data", type=console.path, default=shipped, help="data set of synthetic trials with its seal")
     parser.add_argument("--model", type=console.text, default="fish.calibrated.toml", help="fish file with [calibration] blocks")
@@ -25,7 +25,7 @@ def main(argv: list[str]) -> int:
 
 
 def score(folder: Path, model: str) -> list[dict]:
-    """Fitted against sealed, one row a number.
+    """Fitted against sealed values, one row per constant.
 
     Raises StoreError: the seal is missing or broken; ConfigError: nothing was fitted.
     """
@@ -40,9 +40,9 @@ def score(folder: Path, model: str) -> list[dict]:
 
 
 def opened(folder: Path) -> dict[str, float]:
-    """The sealed values, after their hash was checked."""
-    path, said = folder / calibration_trials.SEALED, Manifest.read(folder).meta.get("sealed", {}).get("sha256")
-    if not path.is_file() or sha256(path) != said:
+    """Checks the hash of the sealed file; returns its values. Raises StoreError: missing or changed."""
+    path, stated = folder / calibration_trials.SEALED, Manifest.read(folder).meta.get("sealed", {}).get("sha256")
+    if not path.is_file() or sha256(path) != stated:
         raise StoreError(f"{path}: the seal is missing or was changed; make the trials again")
     return read_json(path)["values"]
 

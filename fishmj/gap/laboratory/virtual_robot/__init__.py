@@ -1,9 +1,9 @@
-"""A second robotic fish, written independently of the strip model that is fitted to data: the generator of blind tests.
+"""Second simulator of the robotic fish, independent of the strip model that is fitted to data: a generator of blind tests.
 
-It shares the drawn outline, masses and servo numbers with the first one and nothing else; see docs/search/virtual_robot.md.
+It shares only the outline, the masses and the servo data with the first; see docs/search/virtual_robot.md.
 
     generate(effects, excitations, seed) -> [Trial]     trials with hidden effects
-    plant(effects, seed) -> Plant                       the numbers of such a robot
+    plant(effects, seed) -> RobotConstants              constants of such a robot
     EFFECTS                                             effects that can be hidden: the catalogue and families outside it
 """
 

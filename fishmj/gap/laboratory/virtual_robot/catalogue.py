@@ -1,8 +1,8 @@
-"""Effects that can be hidden in a virtual robot by this room's own code: each parameter is a field of `constants.py`.
+"""Effects that a virtual robot can hide: each parameter is a field of `constants.py`.
 
-`CATALOGUE` are the effects of the catalogue. `ODDITIES` are others: for one of them, the right answer of a workflow is that it
-does not know. One row each: parameters, channels in which they show, experiments that show them. Units are SI, nulls 0 unless the
-row has another. Delays come on top of the nominal ones in the fish description.
+`CATALOGUE` holds effects of the catalogue, `ODDITIES` effects outside it, which a search should leave unexplained. A row has
+parameters, affected channels and revealing experiments. Units are SI, nulls 0 unless the row states another. Delays add
+to the nominal ones of the fish description.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError, UnknownName
 
 @dataclass(frozen=True, kw_only=True)
 class EntryParameter:
-    """One number, SI. typical = (low, high) magnitude; signed: both sides of the null occur; least, most: possible range."""
+    """Parameter, SI. typical: (low, high) magnitude; signed: values on both sides of the null; least, most: possible range."""
 
     name: str
     unit: str
@@ -25,12 +25,12 @@ class EntryParameter:
     signed: bool = False
     least: float = -np.inf
     most: float = np.inf
-    default: bool = False  # secondary: means nothing while the first is null; null is its usual value
+    default: bool = False  # secondary: no effect while the first is null; null is its usual value
 
 
 @dataclass(frozen=True, kw_only=True)
 class CatalogueEntry:
-    """A hidden effect. shows: channels in which it must be seen; runs: experiments that show it well."""
+    """Effect to hide. shows: channels in which it must be visible; runs: experiments that reveal it well."""
 
     name: str
     stage: str
@@ -39,7 +39,7 @@ class CatalogueEntry:
     runs: tuple[str, ...]
     stochastic: bool = False  # differs between replicates
     catalogued: bool = True
-    about: str = ""  # for those that no catalogue explains
+    about: str = ""  # of effects outside the catalogue
 
     @property
     def nulls(self) -> dict[str, float]:
@@ -48,11 +48,11 @@ class CatalogueEntry:
 
     @property
     def typical(self) -> dict[str, float]:
-        """The larger typical magnitude; secondary parameters at their usual value."""
+        """Larger typical magnitudes; secondary parameters at their usual value."""
         return {p.name: p.null if p.default else p.typical[1] for p in self.parameters}
 
     def draw(self, rng: np.random.Generator, strength: float = 1.0) -> dict[str, float]:
-        """Values of typical size, log-uniform between low and high times `strength`, either sign where both occur."""
+        """Draws values of typical size: log-uniform between low and high, times `strength`, with random sign if signed."""
         values = {}
         for p in self.parameters:
             low, high = sorted(p.typical)
@@ -70,7 +70,7 @@ class CatalogueEntry:
     def fields(self, values: Mapping[str, float]) -> dict[str, float]:
         """Fields for given parameter values, as {"motor.deadband": 0.01}; missing parameters stay at their null.
 
-        Raises UnknownName: a parameter that the effect does not have; ConfigError: a value that is no number or impossible.
+        Raises UnknownName: no such parameter; ConfigError: a value that is no number or out of range.
         """
         known = {p.name: p for p in self.parameters}
         for name, value in values.items():
@@ -80,7 +80,7 @@ class CatalogueEntry:
                 raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected a finite number in {known[name].unit}")
             if not known[name].least <= value <= known[name].most:
                 bounds = f"{known[name].least:g} to {known[name].most:g} {known[name].unit}"
-                raise ConfigError(f"effect {self.name}: {name} = {value!r} is impossible; it lies in {bounds}")
+                raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected {bounds}")
         return {p.field: float(values.get(p.name, p.null)) for p in self.parameters}
 
 
@@ -89,7 +89,7 @@ _SWIM, _TURN = ("gait", "turn_left"), ("turn_left", "spin")
 
 
 def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, most=np.inf) -> tuple[EntryParameter, ...]:
-    """The main parameter. An unsigned one is not negative, except for inertia and water, which may be less than believed."""
+    """Main parameter. An unsigned one is not negative, except for inertia and water, which may be smaller than described."""
     if least is None:
         least = -np.inf if signed or field.startswith(("hull.", "water.")) else 0.0
     return (
@@ -98,7 +98,7 @@ def _one(name, unit, field, low, high, *, null=0.0, signed=False, least=None, mo
 
 
 def _keep(name, unit, field, value, spread=1.5, least=1e-3) -> EntryParameter:
-    """A second parameter that has no meaning while the first is null."""
+    """Secondary parameter, without effect while the first is null."""
     return EntryParameter(
         name=name, unit=unit, field=field, typical=(value / spread, value * spread), null=value, default=True, least=least
     )

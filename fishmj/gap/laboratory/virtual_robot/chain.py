@@ -1,11 +1,11 @@
-"""Mechanics: a chain of hinged links by the virtual power of each link's origin, J^T A J.
+"""Mechanics of a chain of hinged links, by virtual power at each link's origin: J^T A J.
 
 Generalised rates: the reference point's velocity in the tank frame and the links' absolute rates, (VX, VY, W1..WN). Origins:
 
     o_{i+1} = o_i + W_i x_i n_i,     a_{i+1} = a_i + W_i' x_i n_i - W_i^2 x_i t_i       x_i: rear hinge of link i
 
-so link i moves with (VX, VY), with x_k n_k for every k < i, and turns with its own W_i. Its inertia about the origin is rigid
-plus added mass. The momentum of the latter, p = (a u, b v + s r), L = s v + J r in link axes, relative to the water, obeys
+The origin of link i moves with (VX, VY) and W_k x_k n_k of every k < i; the link turns with W_i. Its inertia about the origin is
+rigid plus added mass. The momentum of the latter, p = (a u, b v + s r), L = s v + J r in link axes, relative to the water, obeys
 Kirchhoff's equations:
 
     force = - dp/dt - W x p,     moment = - dL/dt - (u p_n - v p_t)
@@ -83,7 +83,7 @@ def assemble(body, water, tank, odd, s, stream, A, f, h):
 
 @compiled
 def _add_link(A, f, i, inertia, axes, load, arms):
-    """Adds link i to A and f, and through the arms x_k n_k (k < i) to the links before it; inertia and load in its axes."""
+    """Adds link i to A and f, and to the links before it through the arms x_k n_k. inertia: link axes; load: tank axes."""
     along, across, cross, spin = inertia
     tx, ty, nx, ny = axes
     Fx, Fy, moment = load
@@ -113,7 +113,7 @@ def _add_link(A, f, i, inertia, axes, load, arms):
 
 @compiled
 def hang(air, s, anchor, f):
-    """Adds the forces of a thread on a fish in air: springs and damping of (stiffness, damping, twist, twist damping)."""
+    """Adds the forces of the thread on a fish in air. air: stiffness, damping, torsional stiffness, torsional damping."""
     f[0] -= air[0] * (s.z[0] - anchor[0]) + air[1] * s.rate[0]
     f[1] -= air[0] * (s.z[1] - anchor[1]) + air[1] * s.rate[1]
     f[2] -= air[2] * (s.z[2] - anchor[2]) + air[3] * s.rate[2]
@@ -121,7 +121,7 @@ def hang(air, s, anchor, f):
 
 @compiled
 def push_joint(A, f, j, torque, inertia):
-    """Adds a torque between links j and j + 1; inertia: rotor and h times damping, kg m2."""
+    """Adds a torque between links j and j + 1; inertia: rotor inertia plus h times the damping, kg m2."""
     f[2 + j] -= torque
     f[3 + j] += torque
     A[2 + j, 2 + j] += inertia

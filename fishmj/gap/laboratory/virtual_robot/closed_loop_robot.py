@@ -1,10 +1,10 @@
-"""The same robot step by step, for a closed loop: a radio loopback, or a controller under test.
+"""Virtual robot for closed loops, advanced step by step by a radio loopback or a controller under test.
 
     fish = ClosedLoopRobot({"command_latency": {"delay": 0.02}}, seed=3)
-    fish.send((0.3, 0.2, 0.1))                  # leaves now, arrives after the radio's latency, or never
-    packets = fish.advance(0.02)                # {"joint": {...}, "power": {...}, "pose": {...}} that became readable
+    fish.send((0.3, 0.2, 0.1))                  # arrives after the radio's latency, or is lost
+    packets = fish.advance(0.02)                # new readings: {"joint": {...}, "power": {...}, "pose": {...}}
 
-Time is the robot's own and moves only with `advance`; a real-time caller waits between calls.
+Simulated time moves only with `advance`; a real-time caller waits between calls.
 """
 
 import heapq
@@ -23,15 +23,15 @@ from fishmj.gap.laboratory.virtual_robot.simulate import STILL, StateRecording, 
 from fishmj.gap.laboratory.virtual_robot.trials import SENSORS, plant, sense, weather
 from fishmj.mjcf.description import Robot
 
-MEMORY = 1.0  # s of motion that late sensors may look back on
-HORIZON = 3600.0  # s of weather drawn at the start; afterwards it stays as it is
+MEMORY = 1.0  # s of past motion kept for delayed sensors
+HORIZON = 3600.0  # s of gusts drawn at the start
 
 
 class ClosedLoopRobot:
-    """One virtual robot that waits for commands.
+    """Virtual robot under external commands.
 
     Args:
-        effects, seed, noise, nuisance, robot, medium: as `trials.generate`.
+        effects, seed, noise, nuisance, robot, medium: as in `trials.generate`.
         start: (x, y, yaw) in the tank, m and rad. flow: speed [m/s] and direction [rad] of the stream.
     """
 
@@ -43,8 +43,8 @@ class ClosedLoopRobot:
         self.plant = made = plant(effects or {}, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow)
         self.noise = noise
         self._state = at_rest(start, made.zero, made.motor.voltage)
-        for told in (self._state.goal, self._state.aim, self._state.seen, self._state.ramp):
-            told[:] = 0.0
+        for target in (self._state.goal, self._state.aim, self._state.seen, self._state.ramp):
+            target[:] = 0.0
         self._anchor = self._state.z[:3].copy()
         changing = made.tank.sigma > 0.0 or made.odd.pulse != 0.0
         self._gust = weather(made, HORIZON, seed, 0) if changing else STILL
@@ -60,7 +60,7 @@ class ClosedLoopRobot:
         return float(self._state.clock[0])
 
     def send(self, command: Sequence[float] | np.ndarray) -> None:
-        """Sends the joints' angles (J,) [rad] now."""
+        """Sends target angles (J,) [rad] now. Raises ConfigError: another shape, or not finite."""
         angles, joints = np.asarray(command, float), len(self.plant.zero)
         if angles.shape != (joints,) or not np.all(np.isfinite(angles)):
             raise ConfigError(f"virtual robot: command {command!r}; expected {joints} finite angles in rad")
@@ -69,7 +69,7 @@ class ClosedLoopRobot:
             heapq.heappush(self._queue, (arrival, next(self._order), angles))
 
     def advance(self, seconds: float) -> dict[str, dict[str, np.ndarray]]:
-        """Advances by whole milliseconds; returns the rows of the tables that fell due, without the tracker's velocity."""
+        """Advances by whole milliseconds; returns the new rows of the tables, without the tracker's velocity."""
         steps = round(seconds / H)
         if steps < 1:
             raise ConfigError(f"virtual robot: advance({seconds}); at least one step of {H} s")
@@ -92,6 +92,6 @@ class ClosedLoopRobot:
 
 
 def _joined(past: StateRecording, fresh: StateRecording) -> StateRecording:
-    """Both recordings in a row, with the last MEMORY seconds before the fresh part."""
+    """Appends `fresh` to the last MEMORY seconds of `past`."""
     keep = past.t >= fresh.t[0] - MEMORY
     return StateRecording(np.concatenate([past.t[keep], fresh.t]), np.concatenate([past.data[keep], fresh.data]))

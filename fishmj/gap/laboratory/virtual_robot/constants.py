@@ -1,17 +1,17 @@
-"""The second robot's own constants: plain groups of numbers, read from `data/calib/virtual_robot.toml`.
+"""Constants of the second robot, in groups; read from `data/calib/virtual_robot.toml`.
 
-A group is a NamedTuple of floats, so that compiled code reads `motor.gain` by name. Fields whose comment begins with
-*effect* are null unless an effect is planted; a null field changes nothing, to the last bit.
+A group is a NamedTuple of floats, so that compiled code reads `motor.gain` by name. A field whose comment begins with *effect*
+is null unless the effect is planted; null fields leave the results unchanged to the last bit.
 """
 
 from typing import NamedTuple
 
 
 class HullConstants(NamedTuple):
-    """Additions to the weighed and drawn fish, at the reference point; all effects."""
+    """Additions to the described fish, at the reference point; all are effects."""
 
     mass: float = 0.0  # kg
-    com: float = 0.0  # m, the head's centre of mass moves forward
+    com: float = 0.0  # m, forward shift of the head's centre of mass
     inertia: float = 0.0  # kg m2
     surge: float = 0.0  # kg, added mass along the head
     sway: float = 0.0  # kg, across
@@ -25,12 +25,12 @@ class WaterConstants(NamedTuple):
     friction: float  # of the 1/5-power law: Cf = friction Re^-0.2
     head_forward: float  # N s2/m2, form drag of the head
     head_backward: float
-    oblique: float  # part of u2 that strengthens the cross-flow
-    edge_mass: float  # kg/m, water that the trailing edge sheds
+    oblique: float  # share of u2 added under the root of the cross-flow drag
+    edge_mass: float  # kg/m, added mass shed at the trailing edge
     edge_height: float  # m
-    wagner_start: float  # part of the circulation that is there at once
-    wagner_lengths: float  # trailing-edge heights travelled until the rest is
-    stall_slope: float  # tangent of the angle beyond which suction is lost
+    wagner_start: float  # initial share of the circulation
+    wagner_lengths: float  # time constant of the rest, in trailing-edge heights travelled
+    stall_slope: float  # tangent of the stall angle
     linear_surge: float = 0.0  # effect, N s/m
     quadratic_surge: float = 0.0  # effect, N s2/m2
     crossflow: float = 0.0  # effect, gain
@@ -48,7 +48,7 @@ class MotorConstants(NamedTuple):
     """One bus servo: firmware, bridge, motor, gears; and the battery that all of them share."""
 
     gain: float  # N m/rad
-    rate_gain: float  # N m s/rad, of the firmware alone; the motor's own back-EMF comes on top
+    rate_gain: float  # N m s/rad, of the firmware alone; the back-EMF of the motor adds to it
     torque: float  # N m, stall at the nominal voltage
     resistance: float  # ohm
     constant: float  # V s/rad = N m/A
@@ -92,7 +92,7 @@ class TankConstants(NamedTuple):
     """Moving water, a tether, walls at +-half."""
 
     half: float  # m
-    flow_x: float = 0.0  # m/s, the stream that was ordered
+    flow_x: float = 0.0  # m/s, set stream
     flow_y: float = 0.0
     current_x: float = 0.0  # effect, m/s
     current_y: float = 0.0  # effect, m/s
@@ -106,7 +106,7 @@ class TankConstants(NamedTuple):
 
 
 class StartScatter(NamedTuple):
-    """Errors of placing the fish at its start."""
+    """Standard deviations of placing the fish at its start."""
 
     position: float  # m
     heading: float  # rad
@@ -128,7 +128,7 @@ class NetworkConstants(NamedTuple):
 
 
 class CameraConstants(NamedTuple):
-    """The tracker above the tank: its timing, and its errors of the marker."""
+    """Tracker above the tank: timing and marker errors."""
 
     period: float  # s
     latency: float  # s, nominal, from exposure to the stamp
@@ -138,7 +138,7 @@ class CameraConstants(NamedTuple):
     window: float  # frames in the velocity fit
     delay: float = 0.0  # effect, s
     offset: float = 0.0  # effect, s
-    drift: float = 1.0  # effect, the camera's second in seconds
+    drift: float = 1.0  # effect, camera seconds per second
     filter: float = 0.0  # effect, s
     scale: float = 0.0  # effect
     angle: float = 0.0  # effect, rad
@@ -153,19 +153,19 @@ class MeterConstants(NamedTuple):
     period: float  # s
     voltage_noise: float  # V
     current_noise: float  # A
-    average: float  # s, its own averaging
+    average: float  # s, averaging time
     offset: float = 0.0  # effect, W
 
 
 class UncataloguedEffects(NamedTuple):
-    """Effects outside every catalogue; every field is null at 0 unless its default differs."""
+    """Effects outside every catalogue; the defaults have no effect."""
 
     bouc_torque: float = 0.0  # N m, hysteresis of the skin
     bouc_angle: float = 0.1  # rad, at which it saturates
     cross_force: float = 0.0  # N s2, tail rate times yaw rate
-    asymmetry: float = 0.0  # the tail pushes more to one side
+    asymmetry: float = 0.0  # extra suction on strokes to one side
     cubic: float = 0.0  # N m/rad3
-    pulse: float = 0.0  # m/s, current that comes and goes
+    pulse: float = 0.0  # m/s, amplitude of an oscillating current
     pulse_period: float = 6.0  # s
     eccentric: float = 0.0  # rad, encoder magnet off centre
     shift: float = 0.0  # m, ballast slides
@@ -176,7 +176,7 @@ class UncataloguedEffects(NamedTuple):
     parallax: float = 0.0  # m, the marker's image depends on the heading
     resonance: float = 0.0  # gain of the shed momentum near one beat rate
     resonance_rate: float = 7.0  # rad/s
-    busy: float = 0.0  # s per rad/s, commands wait while joints are fast
+    busy: float = 0.0  # s per rad/s, delay of fast-changing commands
     reset: float = 0.0  # s, length of a brown-out of the firmware
     reset_current: float = 0.8  # A, that triggers it
     weed: float = 0.0  # N s2/m2, caught on the left of the tail

@@ -1,4 +1,4 @@
-"""The main loop of the second robot: firmware, water, joints, solve, friction, one millisecond at a time."""
+"""Main loop of the second robot: firmware, water, joints, solve and friction in steps of one millisecond."""
 
 from math import exp
 
@@ -13,10 +13,10 @@ GUST = 0.02  # s, spacing of the gust table
 
 @entry
 def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, commands, s, record, work):
-    """Runs len(record) steps; writes `simulate.columns` of every step, before the motion, into record (T, 8 + 4 J).
+    """Runs len(record) steps; writes the state before each step to record (T, 8 + 4 J), columns as in `simulate.columns`.
 
-    arrivals (K,): times [s] at which commands (K, J) [rad] reach the servos, rising. gust (G, 2): water velocity that varies in
-    time [m/s], every GUST s from t = 0, linear between. work: `simulate.workspace`.
+    arrivals (K,): ascending times [s] at which commands (K, J) [rad] reach the servos. gust (G, 2): time-varying water velocity
+    [m/s] every GUST s from t = 0, linear in between. work: `simulate.workspace`.
     """
     A, f, mobility, columns, bound, w, stream, sprung = work
     fresh = 1.0 - exp(-H / motor.inductive_time)
@@ -57,7 +57,7 @@ def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, co
 
 @compiled
 def blow(gust, tank, time, stream):
-    """Uniform part of the water's velocity and its time derivative: stream, current, gusts."""
+    """Sets stream: uniform water velocity and its time derivative, from stream, current and gusts."""
     k = min(int(time / GUST), gust.shape[0] - 2)
     part = time / GUST - k
     for a in range(2):
@@ -69,7 +69,7 @@ def blow(gust, tank, time, stream):
 
 @compiled
 def rub(body, L, dv, s, mobility, columns, bound, w):
-    """Adds the effect of dry friction to the velocity change dv; L: factor of the mass matrix."""
+    """Adds the effect of dry friction to the velocity change dv; L: Cholesky factor of the mass matrix."""
     joints, places = len(body.joints), len(body.links) + 2
     for j in range(joints):
         for a in range(places):

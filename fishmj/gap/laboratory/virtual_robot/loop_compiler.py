@@ -1,7 +1,7 @@
-"""Compiles the loops of this room: vectorised sums, NaN stays NaN.
+"""Compiles the loops of this package: vectorised sums; NaN propagates.
 
-The loops allocate nothing, so reference counting is off (`_nrt`): with it, handing the groups of arrays from function to function
-costs five times the physics.
+The loops allocate nothing, so reference counting (`_nrt`) is off. With it, passing the array groups between functions takes five
+times as long as the physics.
 """
 
 from pathlib import Path

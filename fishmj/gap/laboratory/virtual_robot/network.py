@@ -1,8 +1,8 @@
 """Radio and bus: a queue of command packets, each with its own delay; telemetry of the joints.
 
-A packet that is sent at t_k reaches the servos at t_k + latency + jitter, unless it is lost. A late packet may be overtaken; then
-the older command comes last and stays until the next one. The small jitter of a good radio has zero mean (the nominal latency
-includes it); the effect only delays. Stamps are the sender's.
+A packet sent at t_k reaches the servos at t_k + latency + jitter, unless it is lost. Packets may overtake each other: an older
+command that arrives last holds until the next one. Normal jitter has zero mean, since the nominal latency includes it; the hidden
+effect only delays. Stamps are the sender's.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class Delivery(NamedTuple):
 
 
 class CommandRadio:
-    """Decides, packet by packet, the arrival of a command at the servos."""
+    """Draws the arrival time of each command packet at the servos."""
 
     def __init__(self, network: NetworkConstants, odd: UncataloguedEffects, seed: int, trial: int, noise: float):
         self.network, self.odd, self.noise = network, odd, noise
@@ -36,7 +36,7 @@ class CommandRadio:
         delay = (
             n.latency + n.delay + self.noise * n.jitter * random_streams.jitter(base) + n.sigma * random_streams.lateness(tail)
         )
-        if self.odd.busy > 0.0:  # the bus is slower while the joints are asked to be fast
+        if self.odd.busy > 0.0:  # fast changes of the command slow the bus
             last = command if self._last is None else self._last
             delay += self.odd.busy * float(np.max(np.abs(command - last))) / n.period
         self._last = np.array(command)
@@ -52,7 +52,7 @@ def deliver(
     trial: int,
     noise: float,
 ) -> Delivery:
-    """Sends commands (K, J) at `sent` (K,) and takes them out of the queue in order of arrival."""
+    """Sends commands (K, J) at times `sent` (K,) s; returns the received ones in order of arrival."""
     radio = CommandRadio(network, odd, seed, trial, noise)
     times = np.array([radio.arrival(float(t), command) for t, command in zip(sent, commands, strict=True)], float)
     order = order_of_arrival(times)
@@ -62,7 +62,7 @@ def deliver(
 def telemetry(
     net: NetworkConstants, zero: np.ndarray, record: StateRecording, t: np.ndarray, rng: np.random.Generator, noise: float
 ) -> dict:
-    """Table `joint`: the hinges' own sensors, read at t (K,); a value is `joint_delay` older than its stamp."""
+    """Table `joint`: joint sensors read at t (K,) s; each value is `joint_delay` s older than its stamp."""
     stamps = t + noise * net.stamp_jitter * rng.uniform(0.0, 1.0, len(t))
     names = [f"j{k + 1}" for k in range(len(zero))]
     angle = record.at(stamps - net.joint_delay, *names) - zero

@@ -1,10 +1,10 @@
-"""The drawn fish as arrays for the compiled loop: masses, added mass, stations of cross-flow drag.
+"""Arrays of the fish for the compiled loop: masses, added masses, stations of cross-flow drag.
 
     added mass per length     a(s) = k(s) rho pi/4 h(s)^2,   k = k_mid - (k_mid - k_end) (e^(-s/l) + e^(-(L - s)/l))
     cross-flow drag           d(s) = 1/2 rho C(s) h(s) ds,   C = C_round + (C_flat - C_round) (1 - w/h)
 
-16 Gauss points a link; moments by Gauss points between every two drawn sections. Link frame: x to the nose, origin at the
-front hinge (head: the reference point).
+Drag has 16 Gauss points per link, moments have 4 between adjacent sections. Link frame: x to the nose, origin at the front
+hinge (head: the reference point).
 """
 
 from functools import cache
@@ -18,16 +18,16 @@ from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.mjcf.reading import load_robot
 
 STATIONS = 16
-PANEL = 4  # Gauss points between two drawn sections
-SHORT = 4  # links of the shipped fish, whose loops are compiled for themselves: by a third faster
-SHIPPED = "fish"  # whose links the table's axial added masses are of
+PANEL = 4  # Gauss points between two sections
+SHORT = 4  # links of the shipped fish; its own compiled loops are a third faster
+SHIPPED = "fish"  # robot whose axial added masses are in the table
 
 
 class RigidBody(NamedTuple):
     """N links, S stations; SI units."""
 
-    links: tuple[int, ...] | np.ndarray  # (N,), counts
-    joints: tuple[int, ...] | np.ndarray  # (N - 1,), counts
+    links: tuple[int, ...] | np.ndarray  # (N,) 0 .. N - 1
+    joints: tuple[int, ...] | np.ndarray  # (N - 1,) 0 .. N - 2
     hinge: np.ndarray  # (N,) x of the rear hinge, m
     mass: np.ndarray  # (N,) kg
     first: np.ndarray  # (N,) mass times x of its centre, kg m
@@ -98,7 +98,7 @@ def body_of(robot: Robot, water: dict, hull: HullConstants) -> RigidBody:
 
 
 def _rigid(geometry: Geometry, hull: HullConstants) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mass, first and second moment of every link about its origin; ballast slides along the head."""
+    """Mass, first and second moment of each link about its origin; hull.com moves the head's centre of mass."""
     mass, x = geometry.mass.copy(), geometry.com[:, 0].copy()
     x[0] += hull.com
     first, second = mass * x, geometry.inertia[:, 2] + mass * x**2
@@ -108,12 +108,12 @@ def _rigid(geometry: Geometry, hull: HullConstants) -> tuple[np.ndarray, np.ndar
 
 
 def counted(n: int, known: bool) -> tuple[int, ...] | np.ndarray:
-    """Numbers 0 .. n - 1 as a tuple, whose length the compiler knows, or as an array, for one machine code for all chains."""
+    """Numbers 0 .. n - 1: as a tuple, whose length the compiler knows, or as an array, so that all chains share machine code."""
     return tuple(range(n)) if known else np.arange(n)
 
 
 def alike(values, links: int) -> np.ndarray:
-    """(N,) values of a chain of `links`, from those at the same relative places of another chain; `values` from nose to tail."""
+    """Values (N,) of a chain of `links`, from another chain's values (nose to tail) at the same relative positions."""
     places = np.round(np.arange(links) * ((len(values) - 1) / (links - 1))).astype(int)
     return np.asarray(values, float)[places]
 
@@ -134,12 +134,12 @@ def _gauss(a: float, b: float, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _outline(link, s: np.ndarray, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
-    """Height and width at the places s from the link's front end, m."""
+    """Height and width [m] at distances s [m] from the link's front end."""
     rows = np.array(link.sections)
     return np.interp(s, rows[:, 0], rows[:, 1]), np.interp(s, rows[:, 0], rows[:, 2]) * geometry.width_scale
 
 
 def _section_coefficient(s: np.ndarray, length: float, water: dict) -> np.ndarray:
-    """k(s) of the docstring; s from the nose."""
+    """k(s) of the module's docstring; s: distance from the nose, m."""
     (middle, end), fall = water["sections"], water["end_length"] * (round(length, 6) / water["length"])
     return middle - (middle - end) * (np.exp(-s / fall) + np.exp(-(length - s) / fall))

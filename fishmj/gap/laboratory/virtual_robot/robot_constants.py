@@ -1,4 +1,4 @@
-"""One virtual robot's numbers: description, own constants, a draw of nuisance, and the planted effects."""
+"""Constants of one virtual robot: description, own constants, nuisance draw and planted effects."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -53,12 +53,12 @@ class RobotConstants:
     @property
     def zero(self) -> np.ndarray:
         """Hinge angle at which each servo reads zero (J,), rad; joints beyond the third share its value."""
-        told = (self.motor.zero1, self.motor.zero2, self.motor.zero3)
-        return np.array([told[min(j, len(told) - 1)] for j in range(self.robot.n_joints)])
+        zeros = (self.motor.zero1, self.motor.zero2, self.motor.zero3)
+        return np.array([zeros[min(j, len(zeros) - 1)] for j in range(self.robot.n_joints)])
 
 
 def buildable(robot: Robot, whose: object = "") -> None:
-    """Raises ConfigError, with an alternative, if the second robot has no equations for this one. whose: the user's name."""
+    """Raises ConfigError, with an alternative, if the second simulator cannot represent `robot`. whose: its name for the user."""
     few, most = LINKS
     name, links = f"virtual robot: {str(whose or robot.name)[-80:]}", len(robot.links)
     if not few <= links <= most:
@@ -75,7 +75,7 @@ def buildable(robot: Robot, whose: object = "") -> None:
 
 
 class WaterScales(NamedTuple):
-    """Factors on the water of the constants' page: added mass, cross-flow drag, friction and form drag, momentum of the edge."""
+    """Factors on the water of virtual_robot.toml: added mass, cross-flow drag, friction and form drag, edge momentum."""
 
     mass: float = 1.0
     cross: float = 1.0
@@ -102,9 +102,9 @@ def nominal(
     rng: np.random.Generator | None = None,
     scales: WaterScales = AS_IT_IS,
 ) -> RobotConstants:
-    """The robot without effects; `nuisance` is the half width of the relative draw of unmeasured constants.
+    """Constants of the robot without effects. nuisance: relative half width of the draw of unmeasured constants.
 
-    Water coefficients get all of it, friction all, servo gain and motor resistance a fifth.
+    Water coefficients and friction have the whole width, servo gain and motor resistance a fifth.
     """
     table = read_toml(resolve(CONSTANTS))
 
@@ -171,8 +171,8 @@ def nominal(
 def electrical(servo: Servo) -> tuple[float, float]:
     """(resistance [ohm], constant [V s/rad]) of the motor behind a servo's torque-speed line.
 
-    A line determines both: constant = voltage / speed_no_load, resistance = constant voltage / torque. The description's values
-    are used if they give the same damping within the rounding of a data sheet; a calibration changes the line alone.
+    The line determines both: constant = voltage / speed_no_load, resistance = constant voltage / torque. Described values are
+    used if they give the same damping within data-sheet rounding; a calibration changes only the line.
     """
     if abs(servo.constant**2 / servo.resistance / servo.kb - 1.0) <= ROUNDED:
         return servo.resistance, servo.constant

@@ -1,6 +1,6 @@
-"""The camera over the tank and the meter in the battery lead.
+"""Camera above the tank and meter in the battery lead.
 
-marker      p = (X, Y) + R(yaw) (d, 0)                        place of the marker
+marker      p = (X, Y) + R(yaw) (d, 0)                        position of the marker
 lens        p (1 + k1 |p|^2),  then scale, then turned by the mounting angle
 stamp       t = exposure + latency, on the camera's own clock t drift + offset
 velocity    slope of a straight line through the last frames, then an optional low-pass
@@ -20,12 +20,12 @@ def watch(
     rng: np.random.Generator,
     noise: float,
 ) -> dict:
-    """Table `pose` from frames that reach the host at `frames` (K,) s, on the host's clock: t, x, y, yaw."""
+    """Table `pose` (t, x, y, yaw) of frames that reach the host at times `frames` (K,) s, on the host's clock."""
     late = camera.latency + camera.delay
     stamps = frames + noise * camera.jitter * rng.uniform(0.0, 1.0, len(frames))
     x, y, yaw = record.at(stamps - late, "x", "y", "yaw").T
     x, y = x + camera.marker * np.cos(yaw), y + camera.marker * np.sin(yaw)
-    if odd.parallax != 0.0:  # the marker stands high: its image moves with the heading of the light
+    if odd.parallax != 0.0:  # the image of the raised marker shifts with the heading
         x, y = x + odd.parallax * np.sin(yaw + 0.4), y + odd.parallax * np.sin(2.0 * yaw)
     far = 1.0 + camera.k1 * (x * x + y * y)
     size = 1.0 + camera.scale
@@ -39,14 +39,14 @@ def watch(
 
 
 def track(camera: CameraConstants, seen: dict) -> dict:
-    """The pose table with the tracker's velocity vx, vy, wz in the tank frame."""
+    """Adds the tracker's velocity vx, vy, wz in the tank frame to the pose table."""
     names = {"x": "vx", "y": "vy", "yaw": "wz"}
     slopes = {rate: slope(seen["t"], seen[name], int(camera.window)) for name, rate in names.items()}
     return seen | {rate: low_pass(value, camera.period, camera.filter) for rate, value in slopes.items()}
 
 
 def on_its_clock(camera: CameraConstants, seen: dict) -> dict:
-    """The pose table with the stamps of the camera's own clock."""
+    """Pose table with stamps of the camera's clock."""
     return seen | {"t": seen["t"] * camera.drift + camera.offset}
 
 
@@ -68,7 +68,7 @@ def _slopes(t: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def low_pass(value: np.ndarray, step: float, time: float) -> np.ndarray:
-    """First-order filter with time constant `time`; none at 0."""
+    """First-order filter with time constant `time` [s]; no filter if 0."""
     if time <= 0.0:
         return value
     keep, out = np.exp(-step / time), value.copy()
@@ -80,7 +80,7 @@ def low_pass(value: np.ndarray, step: float, time: float) -> np.ndarray:
 def metered(meter: MeterConstants, record: StateRecording, t: np.ndarray, rng: np.random.Generator, noise: float) -> dict:
     """Table `power`: battery voltage and current, averaged over the time before each stamp t (K,), a reading every millisecond.
 
-    Single readings would beat with the servos' clock: the mean power would depend on a command's time of arrival in a period.
+    Single readings would alias with the servos' clock: mean power would depend on the phase at which commands arrive.
     """
     lags = np.arange(0.5, 1000.0 * meter.average) / 1000.0
     volts, amps = np.mean([record.at(t - lag, "V", "I") for lag in lags], 0).T

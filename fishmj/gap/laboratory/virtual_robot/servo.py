@@ -1,29 +1,29 @@
-"""Bus servos: the firmware 200 times a second, the motor in between, and true dry friction with sticking.
+"""Bus servos: firmware at 200 Hz, motor dynamics in between, and dry friction with stick-slip.
 
     firmware   drive = clip(g e - g_d de/dt, +-limit),  e = aim - angle in whole counts
     bridge     V = drive R/K V_battery / V_nominal
     motor      i' = (V - K w - R i) / L,  torque K i         exactly over a step, back-EMF taken implicitly
-    friction   |p| <= h F,  w+ = w* + W p,  p opposes w+     Coulomb's law on impulses: a joint at rest is locked until F breaks
+    friction   |p| <= h F,  w+ = w* + W p,  p opposes w+     Coulomb's law on impulses: a joint at rest stays locked up to F
 
-The aim is the latest command after gain error, counts, clamp, motion-time ramp (anew with every new command) and rate limit.
+The aim is the latest command after gain error, counts, clamp, motion-time ramp (restarted by each new command) and rate limit.
 """
 
 from math import exp
 
 from fishmj.gap.laboratory.virtual_robot.loop_compiler import compiled
 
-SWEEPS = 4  # of the friction solver a joint; three joints settle in a few
+SWEEPS = 4  # of the friction solver per joint; three joints converge in a few
 
 
 @compiled
 def counts(value, step):
-    """Value in whole steps."""
+    """Value rounded to whole steps."""
     return round(value / step) * step
 
 
 @compiled
 def shaped(motor, s, j, command):
-    """Command of joint j after all of the firmware's changes before it closes its loop."""
+    """Target of joint j: its command after gain error, counts, clamp, ramp and rate limit."""
     c = command * (1.0 + motor.command_gain)
     if motor.command_step > 0.0:
         c = counts(c, motor.command_step)
@@ -76,14 +76,14 @@ def firmware(body, motor, odd, zero, s):
 
 @compiled
 def _sine(x):
-    """Sine by its own series on [-pi, pi]; keeps the loop free of library calls."""
+    """Sine by its power series on [-pi, pi], without a library call."""
     x2 = x * x
     return x * (1.0 - x2 / 6.0 * (1.0 - x2 / 20.0 * (1.0 - x2 / 42.0 * (1.0 - x2 / 72.0))))
 
 
 @compiled
 def motor_torque(motor, s, j, rate, fresh, h):
-    """(torque N m, damping N m s/rad to be taken implicitly) of motor j; fresh = 1 - e^(-h R/L). Advances current and gap."""
+    """(torque N m, implicit damping N m s/rad) of motor j. fresh = 1 - e^(-h R/L). Advances current and gap."""
     volts = s.drive[j] * motor.resistance / motor.constant * (s.battery[0] / motor.nominal_voltage)
     held = (1.0 - fresh) * s.amps[j] + fresh * volts / motor.resistance
     damping = fresh * motor.constant * motor.constant / motor.resistance
@@ -91,7 +91,7 @@ def motor_torque(motor, s, j, rate, fresh, h):
     if motor.half_gap > 0.0:
         apart = s.gap[j]
         pushing = (apart >= motor.half_gap and torque > 0.0) or (apart <= -motor.half_gap and torque < 0.0)
-        if not pushing:  # the motor crosses the play at its no-load speed, the link feels nothing
+        if not pushing:  # the motor crosses the backlash at no-load speed, without torque
             apart += h * (volts / motor.constant - rate)
             s.gap[j] = min(max(apart, -motor.half_gap), motor.half_gap)
             s.amps[j] = 0.0
@@ -149,7 +149,7 @@ def battery(body, motor, s, h):
     """Advances terminal voltage and current of the common battery by one step."""
     amps = motor.idle / motor.nominal_voltage
     for j in range(len(body.joints)):
-        amps += max(s.drive[j] / motor.torque * s.amps[j], 0.0)  # the bridge does not charge the battery
+        amps += max(s.drive[j] / motor.torque * s.amps[j], 0.0)  # no current flows back into the battery
     s.battery[1] = amps
     s.battery[2] += amps * h
     open_circuit = motor.voltage - motor.droop * s.battery[2] / motor.capacity

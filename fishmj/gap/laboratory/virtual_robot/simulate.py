@@ -1,4 +1,4 @@
-"""Runs the compiled loop for a plant: from commands with their arrival times to a recording at 1 kHz."""
+"""Runs the compiled loop of a robot: arriving commands in, a recording at 1 kHz out."""
 
 from functools import cache
 from typing import NamedTuple
@@ -14,23 +14,23 @@ POSE, METER = ("x", "y", "yaw", "vx", "vy", "wz"), ("V", "I")
 
 @cache
 def columns(joints: int) -> dict[str, int]:
-    """Column of each name in the recording of a robot: pose, joints' angles and rates, meter, aims, drives."""
+    """Column index of each name in a recording: pose and its rates, joint angles and rates, meter, aims, drives."""
     each = lambda letter: [f"{letter}{j + 1}" for j in range(joints)]
     return {name: i for i, name in enumerate([*POSE, *each("j"), *each("k"), *METER, *each("e"), *each("d")])}
 
 
 class ChainState(NamedTuple):
-    """Places in the tank frame, links by absolute angle: z = (X, Y, th1..thN), X, Y the reference point; J = N - 1."""
+    """State in the tank frame: z = (X, Y, th1..thN), the reference point and the links' absolute angles; J = N - 1."""
 
     z: np.ndarray  # (N + 2,) m, rad
     rate: np.ndarray  # (N + 2,) m/s, rad/s
     amps: np.ndarray  # (J,) motor currents, A
-    drive: np.ndarray  # (J,) torque that the firmware asks of the bridge, N m
+    drive: np.ndarray  # (J,) torque requested by the firmware, N m
     seen: np.ndarray  # (J,) angle at the last firmware tick, rad
     goal: np.ndarray  # (J,) latest command, rad
     aim: np.ndarray  # (J,) command after ramp and rate limit, rad
     ramp: np.ndarray  # (J, 3) of the motion-time ramp: from rad, to rad, since s
-    gap: np.ndarray  # (J,) play: motor side less link side, rad
+    gap: np.ndarray  # (J,) backlash: motor side minus link side, rad
     branch: np.ndarray  # (J,) stretch of the skin's viscous branch, rad
     bouc: np.ndarray  # (J,) hysteresis state of the skin, rad
     stuck: np.ndarray  # (J,) friction impulse of the last step, N m s
@@ -42,7 +42,7 @@ class ChainState(NamedTuple):
 
 
 def at_rest(start, angles, voltage: float, push=(0.0, 0.0, 0.0)) -> ChainState:
-    """A fish at `start` (x, y, yaw), joints at `angles` with these as targets, launched with `push` (u, v, r) in its own axes."""
+    """State at `start` (x, y, yaw) with joints and targets at `angles`, launched with `push` (u, v, r) in the fish's axes."""
     x, y, yaw = start
     u, v, r = push
     joints = np.asarray(angles, float)
@@ -78,7 +78,7 @@ class StateRecording(NamedTuple):
         return (self.data.shape[1] - len(POSE) - len(METER)) // 4
 
     def at(self, times: np.ndarray, *names: str) -> np.ndarray:
-        """Columns at any times, linear between milliseconds, held beyond the ends: (K, n)."""
+        """Columns (K, n) at any times: linear between milliseconds, constant beyond the ends."""
         column = columns(self.joints)
         return np.stack([np.interp(times, self.t, self.data[:, column[name]]) for name in names], 1)
 

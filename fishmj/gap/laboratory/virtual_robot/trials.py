@@ -3,7 +3,7 @@
     from fishmj.gap.laboratory.virtual_robot import generate
     trials = generate({"command_latency": {"delay": 0.038}}, ["gait", "chirp"], seed=7)
 
-Nothing in a trial names the planted effects. One seed is one robot (nuisance draw) and one noise, whatever is planted.
+A trial does not name the planted effects. A seed fixes the robot (nuisance draw) and the noise, whatever is planted.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +29,7 @@ from fishmj.mjcf.reading import load_robot
 EFFECTS: dict[str, CatalogueEntry] = {**CATALOGUE, **ODDITIES}
 MEDIA = ("water", "air")
 SENSORS = ("joint", "power", "pose")
-USUAL: Mapping[str, float] = MappingProxyType({})  # sensors of the constants' page
+USUAL: Mapping[str, float] = MappingProxyType({})  # sensors of virtual_robot.toml
 NOMINAL: Mapping[str, np.ndarray] = MappingProxyType({})  # every sensor at its own period
 
 
@@ -37,9 +37,9 @@ def plant(
     effects: Effects, seed: int = 0, *, nuisance: float = 0.1, robot: "str | Robot" = "fish", medium: str = "water",
     flow: tuple[float, float] = (0.0, 0.0), scales: WaterScales = AS_IT_IS,
 ) -> RobotConstants:  # fmt: skip
-    """The numbers of one robot: nominal, nuisance of `seed` (relative half width), then the effects {name: {parameter: value}}.
+    """Constants of one robot: nominal, nuisance draw of `seed`, then the effects {name: {parameter: value}}.
 
-    flow: speed [m/s] and direction [rad] of the ordered stream. scales: of its water.
+    nuisance: relative half width. flow: speed [m/s] and direction [rad] of the set stream. scales: factors on the water.
 
     Raises UnknownName: an effect or parameter that does not exist; ConfigError: an impossible value, medium or robot.
     """
@@ -63,15 +63,15 @@ def generate(
     robot: "str | Robot" = "fish", medium: str = "water", *, flow: tuple[float, float] = (0.0, 0.0),
     sensors: Mapping[str, float] = USUAL, tick: Callable[[int], None] = lambda done: None,
 ) -> list[Trial]:  # fmt: skip
-    """One trial an excitation, in order; a repeated one is a replicate with its own noise.
+    """One trial per excitation, in order; a repeated one is a replicate with its own noise.
 
     Args:
         effects: {name: {parameter: value}}, SI; {} hides nothing.
-        noise: factor on the noise of every sensor (and on the error of placing); 0 leaves counts and latencies.
+        noise: factor on the noise of every sensor and of the placing; 0 leaves quantisation and latencies.
         nuisance: relative half width of the draw of unmeasured constants.
         medium: "water", or "air": hung on a thread, no camera.
-        flow: speed [m/s] and direction [rad] of the ordered stream.
-        sensors: unusual fields of network, camera and meter (constants.py): {"camera.period": 1 / 30}.
+        flow: speed [m/s] and direction [rad] of the set stream.
+        sensors: replaced fields of network, camera and meter (constants.py): {"camera.period": 1 / 30}.
         tick: receives the number of finished trials.
     """
     made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
@@ -83,7 +83,7 @@ def generate(
 
 
 def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> tuple[np.ndarray, ChainState]:
-    """Start (3,) of trial `index` as the hand hits it, and the fish there, told to hold the first command."""
+    """Start pose (3,) of trial `index` with its placing error, and the state there, which holds the first command."""
     start = place_by_hand(what, *made.placing, random_streams.stream(seed, "placing", index), noise)
     state = at_rest(start, what.commands[0] + made.zero, made.motor.voltage, what.push)
     state.goal[:], state.aim[:], state.seen[:] = what.commands[0], what.commands[0], what.commands[0]
@@ -92,7 +92,7 @@ def start_state(made: RobotConstants, what: Excitation, seed: int, index: int, n
 
 
 def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: float) -> StateRecording:
-    """True motion in trial `index`: places the fish, sends the commands, moves."""
+    """True motion of trial `index`: places the fish, sends the commands, simulates."""
     if what.commands.shape[1] != made.robot.n_joints:
         counts = f"{what.commands.shape[1]} joints, {made.robot.name} has {made.robot.n_joints}"
         raise ConfigError(f"virtual robot: experiment {what.id!r} commands {counts}; take excitation.get(name, joints)")
@@ -102,7 +102,7 @@ def swim(made: RobotConstants, what: Excitation, seed: int, index: int, noise: f
 
 
 def weather(made: RobotConstants, seconds: float, seed: int, index: int) -> np.ndarray:
-    """Time-varying water velocity (G, 2), every GUST s: turbulence, and a current that comes and goes."""
+    """Time-varying water velocity (G, 2), every GUST s: turbulence and an oscillating current."""
     tank, odd, n = made.tank, made.odd, int(seconds / GUST) + 3
     table = np.zeros((n, 2))
     if tank.sigma > 0.0:
@@ -117,7 +117,7 @@ def trial_of(
     made: RobotConstants, what: Excitation, seed: int, index: int, noise: float, name: str, replicate_of: str,
     flow: tuple[float, float], stamps: Mapping[str, np.ndarray] = NOMINAL,
 ) -> Trial:  # fmt: skip
-    """Swims and measures; the trial holds the files of a lab. stamps: as `sense`."""
+    """Simulates and measures one trial. stamps: as in `sense`."""
     record = swim(made, what, seed, index, noise)
     wet = made.water.active > 0.0
     tables = {"cmd": sent_commands(what.t, what.commands)}
@@ -137,7 +137,7 @@ def sense(
     made: RobotConstants, record: StateRecording, streams: dict, span: tuple[float, float], noise: float,
     stamps: Mapping[str, np.ndarray] = NOMINAL,
 ) -> dict[str, dict]:  # fmt: skip
-    """Tables joint, power and (in water) pose with the readings from span[0] to before span[1].
+    """Tables joint, power and (in water) pose with the readings of span[0] <= t < span[1].
 
     stamps: sensor -> times (K,) s of its readings in place of its own period.
     """
@@ -158,7 +158,7 @@ def sense(
 
 
 def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
-    """Standard deviation of each channel's noise, counts included, and of the hand that places the fish, in their units."""
+    """Standard deviations of each channel's noise, quantisation included, and of the placing, in their units."""
     return {
         **noise_sigmas(made.network, made.camera, made.meter, made.robot.n_joints, noise),
         "start": noise * made.placing.position,

@@ -6,8 +6,8 @@
     trailing edge  f_t = 1/2 m_e s w_c^2,  f_n = - m_e u+ w_c
     circulation    w_c = p w_e + (1 - p) z,  z' = (w_e - z) V / (n h_e)               first-order form of Wagner's function
 
-w_c is kept between 0 and 2 w_e, so that the edge never returns energy: (1/2 w_c^2 - w_c w_e) u <= 0. The suction
-is lost when the lagged flow meets the edge steeply: s = 1 / (1 + (z / (u tan a))^4).
+w_c is clipped to 0 .. 2 w_e, so that the edge never adds energy: (1/2 w_c^2 - w_c w_e) u <= 0. The suction
+stalls when the lagged flow meets the edge steeply: s = 1 / (1 + (z / (u tan a))^4).
 """
 
 from math import cos, sin, sqrt
@@ -15,7 +15,7 @@ from math import cos, sin, sqrt
 from fishmj.base.units import G
 from fishmj.gap.laboratory.virtual_robot.loop_compiler import compiled
 
-CALM = 1e-8  # m2/s2, keeps square roots smooth at rest
+CALM = 1e-8  # m2/s2, smooths square roots at rest
 
 
 @compiled
@@ -93,7 +93,7 @@ def link_force(body, water, odd, s, i, u, v, r, bend, time, h):
 
 @compiled
 def friction_speed(body, s, stream):
-    """V^0.8 of every link's middle through the water that all links share; refreshed with the firmware tick."""
+    """Sets V^0.8 of each link's middle relative to the uniform stream; updated at each firmware tick."""
     ox, oy = s.rate[0] - stream[0], s.rate[1] - stream[1]
     for i in range(len(body.links)):
         c, d, w = cos(s.z[2 + i]), sin(s.z[2 + i]), s.rate[2 + i]

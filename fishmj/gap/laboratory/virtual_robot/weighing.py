@@ -1,4 +1,4 @@
-"""The weighing table of a virtual robot, and the masses that it is made of."""
+"""Weighing table of a virtual robot, and its true masses."""
 
 from collections.abc import Mapping
 
@@ -14,7 +14,7 @@ THREAD, APART = 1.2, 0.30  # m
 
 
 def masses(made: RobotConstants) -> dict[str, float]:
-    """Readings of perfect instruments: mass [kg], com, the balance point from the nose [m], yaw inertia about it [kg m2]."""
+    """True values: mass [kg], com (balance point from the nose) [m], inertia (yaw, about the balance point) [kg m2]."""
     body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
     first = float(np.sum(body.first + body.mass * origin))
     second = float(np.sum(body.second + 2 * origin * body.first + body.mass * origin**2))
@@ -24,12 +24,12 @@ def masses(made: RobotConstants) -> dict[str, float]:
 
 
 def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
-    """Page of weighings of the robot of a seed with hidden effects."""
+    """Weighing table of a seed's robot with hidden effects."""
     return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), random_streams.stream(seed, "weighing"))
 
 
 def weighings(made: RobotConstants, rng: np.random.Generator) -> dict:
-    """Tables of the measurements, three of each."""
+    """Weighing table of a robot: three readings of each quantity."""
     truth, names = masses(made), [link.name for link in made.robot.links]
     links = dict(zip(names, made.body.mass, strict=True))
     return weighing_page("fishmj.virtual_robot", links, truth["com"], truth["inertia"], THREAD, APART, rng)
