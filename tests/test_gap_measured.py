@@ -50,7 +50,7 @@ PARTS = {
     "one condition": ("tail_fish", lambda p: p.parent.name == "Amp15Bias0", lambda t: t, "of one group"),
     "one gain": ("servo_xl330", lambda p: '"kp": 100' in p.read_text()[:200], lambda t: t, "of one group"),
     "one trajectory": ("servo_xl330", lambda p: '"sin_sin"' in p.read_text()[:200], lambda t: t, "leave 0 group(s)"),
-    "another make": ("servo_xl330", lambda p: p.suffix == ".json", NO_DUTY, "the gain cannot be told"),
+    "another make": ("servo_xl330", lambda p: p.suffix == ".json", NO_DUTY, "the gain cannot be determined"),
     "one run": ("usv_coastdown", lambda p: p.name.endswith("_5.csv"), lambda t: t, "expected two at least"),
     "one frequency": ("tendon_fish_markers", lambda p: "f0_50" in p.name, lambda t: t, "expected two at least"),
 }

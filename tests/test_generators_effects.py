@@ -126,7 +126,7 @@ def test_a_text_is_understood():
         ("coulomb_friction=much", ConfigError, "no finite number"),
         ("coulomb_friction=5", ConfigError, "expected 0 to 0.8 N m"),
         ("coulomb_friction:strength=1", UnknownName, "parameter of coulomb_friction"),
-        ("random=3", ConfigError, "draws one"),
+        ("random=3", ConfigError, "give no value"),
     ],
 )
 def test_a_text_that_means_nothing_is_refused(text, error, says):

@@ -1,1 +1,1 @@
-"""The workflow on measured data: groups of records replace the null runs, because no simulator knows the healthy robot."""
+"""Workflow on measured data: groups of records replace null runs, because no simulator represents the healthy robot."""

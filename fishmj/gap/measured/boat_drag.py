@@ -1,10 +1,10 @@
-"""A boat of 13 to 15 kg that coasts to rest: compares drag in proportion to the speed with drag in proportion to its square.
+"""Compares linear with quadratic drag on the coast-down of a boat of 13 to 15 kg.
 
     linear      du/dt = -(c / m) u          quadratic    du/dt = -(c / m) |u| u
 
-The speed column is integrated acceleration that each GPS fix resets; the first row after a fix is the measurement, about one a
-second. Each run is left out in turn: c and the noise come from the others, the run's own initial speed is fitted to it under
-either law, and the likelihoods of its speeds are compared.
+The speed column is integrated acceleration that each GPS fix resets; the first row after a fix is a measurement, about one per
+second. Each run is left out in turn: the other runs give c and the noise, its own rows the initial speed under either law. The
+likelihoods of its speeds are compared.
 """
 
 from typing import NamedTuple
@@ -21,10 +21,10 @@ from fishmj.gap.records.records import Sensor
 from fishmj.gap.thresholds import thresholds
 from fishmj.log import Trial
 
-RESET = 1.0  # m/s, fall of the column at a fix
-MISSED = 3.0  # m/s; the column sometimes falls to 4 to 7 m/s, which a boat pushed by hand never had
+RESET = 1.0  # m/s, least fall of the column at a fix
+MISSED = 3.0  # m/s; some fixes read 4 to 7 m/s, too fast for a boat pushed by hand
 MOVING = 0.2  # m/s
-ROWS = 5  # fixes that a run must have
+ROWS = 5  # least fixes of a run
 MASS = 14.0  # kg; the source says 13 to 15
 HULL = Hull(mass=MASS, inertia=1, surge_added=0, sway_added=0, yaw_added=0, thrust=0, torque=0, drag=1.0, sway_drag=0, yaw_drag=0)
 LAWS = {"quadratic": np.geomspace(0.05, 50.0, 61), "linear": np.geomspace(0.05, 50.0, 61)}  # c, N s2/m2 and N s/m
@@ -41,7 +41,7 @@ class BoatCoast(NamedTuple):
 
 
 def coast(name: str, trial: Trial) -> BoatCoast:
-    """The rows right after a fix, from the last time that the boat rested (two fixes in a row)."""
+    """Rows right after a fix, since the boat last rested (two slow fixes in sequence)."""
     table = trial.table("velocity")
     fixes = np.flatnonzero(np.diff(table["surge"]) < -RESET) + 1
     t, speed = table["t"][fixes], table["surge"][fixes]
@@ -59,7 +59,7 @@ def plant() -> PlanarBody:
 
 
 def squares(boat: PlanarBody, runs: list[BoatCoast], law: str) -> np.ndarray:
-    """(L, C) least sum of squares of each run over the initial speed, for every c of a law."""
+    """Least sum of squares (L, C) of each run over the initial speed, for every c of a law."""
     rows = np.zeros((len(LAWS[law]), len(boat.null)))
     rows[:, 0 if law == "quadratic" else boat.index("linear_surge_drag", "coefficient")] = LAWS[law]
     seconds = np.ceil(max(float(r.t[-1]) for r in runs)) + 1.0
@@ -72,7 +72,7 @@ def squares(boat: PlanarBody, runs: list[BoatCoast], law: str) -> np.ndarray:
 
 
 def _least(track: np.ndarray, run: BoatCoast, step: float) -> float:
-    """Least sum of squares over the starts of one c: track (S, N) at every step."""
+    """Least sum of squares over the initial speeds of one c. track: (S, N) at every step."""
     at = run.t / step
     i = at.astype(int)
     seen = track[:, i] + (at - i) * (track[:, i + 1] - track[:, i])
@@ -80,7 +80,7 @@ def _least(track: np.ndarray, run: BoatCoast, step: float) -> float:
 
 
 def held_out(total: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(L,) log likelihood of each run left out, and the index of c from the others. total: (L, C) squares; count: (L,)."""
+    """Log likelihood (L,) of each run left out, and index (L,) of c from the others. total: (L, C) squares; count: (L,)."""
     likely, chosen = [], []
     for i in range(len(total)):
         others = np.arange(len(total)) != i
@@ -94,7 +94,7 @@ def held_out(total: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def run(say) -> tuple[str, dict]:
-    """Words and figures of the set."""
+    """Text and figures of the set. Raises LogError: fewer than two usable runs."""
     every = [coast(name, trial) for name, trial in trials("usv_coastdown").items()]
     runs = [r for r in every if len(r.t) >= ROWS]
     if len(runs) < 2:
@@ -106,7 +106,7 @@ def run(say) -> tuple[str, dict]:
 
 
 def compared(runs: list[BoatCoast], short: list[str], say=lambda text: None) -> tuple[str, dict]:
-    """Both laws on the same runs."""
+    """Compares both laws on the same runs: (text, figures)."""
     boat, count = plant(), np.array([len(r.t) for r in runs])
     likely, value, spread, rms = {}, {}, {}, {}
     for law, grid in LAWS.items():

@@ -1,7 +1,7 @@
-"""A body that coasts to rest: (m + X) du/dt = -c |u| u + effects, with its speed as the only measurement.
+"""Body that coasts to rest: (m + X) du/dt = -c |u| u + effects; only its speed is measured.
 
-The initial speed of each coast is not measured but fitted: among trajectories from `STARTS` speeds, the one that fits the coast's
-own rows best is taken, anew under every law. So a law is judged by the decay of the speed, not by its start.
+The initial speed of each coast is fitted to its own rows under each law: the best of the trajectories from `STARTS` speeds. A law
+is thus judged by the decay of the speed, not by its start.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,10 +17,10 @@ from fishmj.gap.measured.study_schema import StudyInput
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
 from fishmj.gap.records.records import Sensor
 
-STARTS = 28  # speeds at the start that are tried
-STRIDE = 5  # model's steps between two samples of a trajectory
-LEAST = 5  # rows of a coast
-LONGEST = 1800.0  # s
+STARTS = 28  # initial speeds on the grid
+STRIDE = 5  # steps of the model between two samples
+LEAST = 5  # least rows of a coast
+LONGEST = 1800.0  # s, of a coast
 
 
 class CoastRecord(NamedTuple):
@@ -37,7 +37,7 @@ class CoastRecord(NamedTuple):
 class CoastDown(ParameterRow):
     """Model of a coasting body.
 
-    Args: hull: nominal mass and drag. constants: fitted factors. catalogue: effects. speeds: of starts.
+    Args: hull: nominal mass and drag. constants: fitted factors. catalogue: effects. speeds: range of initial speeds, m/s.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class CoastDown(ParameterRow):
         self.starts = np.geomspace(*speeds, STARTS)
 
     def predict(self, records: Sequence[CoastRecord], rows) -> list[dict]:
-        """Speed at the stamps of every coast, for every parameter row (R, P): {"pose": (R, K, 1)}."""
+        """Speeds at the stamps of every coast, for parameter rows (R, P): {"pose": (R, K, 1)}."""
         rows = np.atleast_2d(np.asarray(rows, float))
         step = STRIDE * self.dt
         seconds = step * (np.ceil(max(float(r.pose.t[-1]) for r in records) / step) + 1)
@@ -61,7 +61,7 @@ class CoastDown(ParameterRow):
 
 
 def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray) -> np.ndarray:
-    """(R, K) trajectory that fits a coast's rows best, between three of the starts. speeds: (R, S, N)."""
+    """Best trajectory (R, K) for a coast's rows, interpolated between three initial speeds. speeds: (R, S, N)."""
     at = r.pose.t / step
     i = np.minimum(at.astype(int), speeds.shape[-1] - 2)
     seen = speeds[..., i] + (at - i) * (speeds[..., i + 1] - speeds[..., i])  # (R, S, K)
@@ -69,7 +69,7 @@ def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray
     middle = np.clip(np.argmin(squares, 1), 1, len(starts) - 2)
     which = np.arange(len(seen))
     three = np.stack([seen[which, middle + k] for k in (-1, 0, 1)], 1)  # (R, 3, K)
-    # the minimum of the parabola through three sums, in steps of the (geometric) grid
+    # minimum of the parabola through three sums, in steps of the (geometric) grid
     a, b, c = (squares[which, middle + k] for k in (-1, 0, 1))
     bend = np.maximum(a - 2 * b + c, 1e-30)
     x = np.clip(0.5 * (a - c) / bend, -1.0, 1.0)[:, None]
@@ -77,7 +77,7 @@ def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray
 
 
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[CoastRecord]:
-    """Every log, whole or up to the horizon. Raises LogError: too few rows, too long, or a body that never moves ahead."""
+    """Records of all logs, whole or up to the horizon. Raises LogError: too few rows, too long, or no motion ahead."""
     out, sigma = [], np.array([study.given.noise.speed])
     for log, group in zip(logs, groups, strict=True):
         t, speed = log.series["speed"]
@@ -91,14 +91,14 @@ def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: f
             )
         if not float(np.median(speed[keep][:LEAST])) > 3 * study.given.noise.speed:
             raise LogError(
-                f"{log.where}: begins at {np.median(speed[keep][:LEAST]):.3g} m/s, expected a body that moves ahead, three times "
-                "the noise at least; cut it where it was let go, or turn the sign in [columns]"
+                f"{log.where}: begins at {np.median(speed[keep][:LEAST]):.3g} m/s, expected motion ahead at three times the "
+                "noise or more; cut the log at the release, or turn the sign in [columns]"
             )
         out.append(CoastRecord(log.name, group, dt, Sensor(t[keep], speed[keep][:, None], sigma)))
     return out
 
 
 def range_of(found: Sequence[CoastRecord]) -> tuple[float, float]:
-    """Range of the possible initial speeds of a coast, m/s."""
+    """Range of initial speeds that a coast can have, m/s."""
     first = [float(np.max(r.pose.values[: max(LEAST, 1)])) for r in found]
     return 0.4 * min(first), 2.0 * max(first)

@@ -1,15 +1,15 @@
-"""A body in the plane, averaged over the tail beat: the motion of a robotic fish or a boat of which only the pose is logged.
+"""Planar body, averaged over the tail beat: motion of a robotic fish or a boat whose log has only the pose.
 
     (m + X) du/dt = (m + Y) w r + thrust A^2   - c V u             + fx        u, w relative to the water, V = |(u, w)|
     (m + Y) dw/dt = -(m + X) u r               - c V w - c_w |w| w + fy
     (I + N) dr/dt = (X - Y) u w - torque A^2 b         - c_r |r| r + n
 
 A, b: amplitude and bias of the tail [rad], the inputs; X, Y, N: added mass; fx, fy, n: forces of the catalogue's effects.
-Other drives have another thrust and torque in their place (`DRIVES`).
+Other drives replace thrust and torque (`DRIVES`).
 
-Kirchhoff's body in ideal fluid, drag along the velocity (c) and across the body (c_w), thrust and torque of a small tail averaged
-over its beat: the published model of this family of robots (Wang & Tan 2015) without its lift.
-A parameter row is [constants (factors on the hull), effects]. One record holds many short runs from known starts.
+Terms: Kirchhoff's body in ideal fluid, drag along the velocity (c) and across the body (c_w), mean thrust and torque of a small
+tail. This is the published model of these robots (Wang & Tan 2015) without its lift.
+A parameter row is [constants (factors on the hull), effects]. A record holds many short runs from known starts.
 """
 
 from collections import namedtuple
@@ -29,13 +29,13 @@ from fishmj.gap.records.records import Sensor
 
 SITES = {"body", "flow", "fish", "measure"}
 MOTION = 6  # x, y, yaw, u, w, r
-FAR = 1e3  # m, rad: where a run that diverged is put
-STILL = 1e-9  # m/s, keeps the root of V differentiable
-NOT_HERE = {"crossflow_drag", "tail_normal_force", "power_offset", "joint_zero_offset"}  # constants already, or not measured
+FAR = 1e3  # m, rad, pose of a diverged run
+STILL = 1e-9  # m/s, makes the root of V differentiable at rest
+NOT_HERE = {"crossflow_drag", "tail_normal_force", "power_offset", "joint_zero_offset"}  # already constants, or not measured
 
 
 class Hull(NamedTuple):
-    """One body, SI; forces for A = 1 rad. The constants of a row are factors on it."""
+    """Body, SI; forces for A = 1 rad. The constants of a row are factors on it."""
 
     mass: float
     inertia: float
@@ -62,8 +62,8 @@ class MeanGait(NamedTuple):
     """K short runs under one condition.
 
     starts: (K, 6) x, y, yaw in the tank, surge, sway over ground, yaw rate. commands: (T, 2) amplitude and bias at the model's
-    steps since each start, or (K, T, 2) if each run has its own. pose: displacement by the end of each run, in the frame
-    of its start: ahead, left, turned; its stamps identify the runs. span: s, length of a run.
+    steps since each start, or (K, T, 2) for commands per run. pose: displacement at the end of each run, in the frame
+    of its start: ahead, left, turned; its stamps identify the runs. span: length of a run, s.
     """
 
     name: str
@@ -77,12 +77,12 @@ class MeanGait(NamedTuple):
     power: None = None
 
 
-# the effects' inputs, with the tail's mean sideways drive: A^2 b, rad^3
+# inputs of the effects, plus the tail's mean sideways drive A^2 b, rad^3
 Beaten: Any = namedtuple("Beaten", (*sites.BodyMotion._fields, "push"))  # type: ignore[misc]
 
 
 class HullLink(NamedTuple):
-    """The whole body as the one link of a chain, for effects that change masses."""
+    """Whole body as the only link of a chain, for effects that change masses."""
 
     mass: tuple
     inertia: tuple
@@ -98,7 +98,7 @@ class Transfer(NamedTuple):
 class PlanarBody(ParameterRow):
     """Model of a planar body. Args: hull: nominal. constants: fitted factors.
 
-    catalogue: effects; default, those that act here. drive: of `DRIVES`.
+    catalogue: effects, by default those of `acting`. drive: name in `DRIVES`.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class PlanarBody(ParameterRow):
         n = -h.torque * push - h.yaw_drag * jnp.abs(r) * r
         forces = dict(fx=fx, fy=fy, n=n, mx=h.surge_added, my=h.sway_added, mn=h.yaw_added, push=push)
         where = dict(u=u, w=w, r=r, heading=yaw, x=x, y=y, time=session.time, tail=0.0, wet=1.0)
-        rest = dict.fromkeys(sites.BodyMotion._fields, 0.0)  # what a lone body does not have
+        rest = dict.fromkeys(sites.BodyMotion._fields, 0.0)  # fields that a single body lacks
         b = Beaten(**rest | where | forces | dict(sway_mass=h.sway_added, drag=h.drag))
         b = session.body(b, k)
         # forces = masses times accelerations in the ground frame; the centre of mass lies `com` ahead
@@ -156,21 +156,21 @@ class PlanarBody(ParameterRow):
         return self.hull._replace(**{name: getattr(self.hull, name) * f for name, f in factors.items()})
 
     def predict(self, records: list[MeanGait], rows) -> list[dict]:
-        """End of every run for every parameter row (R, P): {"pose": (R, K, 3)} a record, in the frame of each start."""
+        """End of every run for parameter rows (R, P): {"pose": (R, K, 3)} per record, in the frame of each start."""
         rows = np.atleast_2d(np.asarray(rows, float))
         return [{"pose": self._covered(r, end, rows)} for r, end in zip(records, self.ends(records, rows), strict=True)]
 
     def ends(self, records: list[MeanGait], rows) -> list[np.ndarray]:
-        """(R, K, 6) motion at the end of every run of each record."""
+        """Motion (R, K, 6) at the end of every run, for each record."""
         common = int(np.gcd.reduce([round(r.span / self.dt) for r in records]))
         return [track[:, :, -1] for track in self.tracks(records, rows, common)]
 
     def tracks(self, records: list[MeanGait], rows, stride: int = 1) -> list[np.ndarray]:
-        """(R, K, N, 6) motion over every run of each record, every `stride` of the model's steps from its start to its end."""
+        """Motion (R, K, N, 6) over every run, for each record: every `stride` steps of the model, from start to end."""
         rows = np.atleast_2d(np.asarray(rows, float))
         runs = [len(r.starts) for r in records]
         steps = np.array([round(r.span / self.dt) for r in records])
-        own = [r.commands.ndim == 3 for r in records]  # runs with commands of their own are logs of their own to the kernel
+        own = [r.commands.ndim == 3 for r in records]  # the kernel takes a run with its own commands as a log
         commands = [c for r, alone in zip(records, own, strict=True) for c in (r.commands if alone else [r.commands])]
         longest = max(int(steps.max()), max(map(len, commands)))
         inputs = np.stack([np.pad(c, ((0, longest - len(c)), (0, 0)), mode="edge") for c in commands])
@@ -187,14 +187,14 @@ class PlanarBody(ParameterRow):
         return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]
 
     def _covered(self, record: MeanGait, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(R, K, 3) displacements as a camera measures them."""
+        """Displacements (R, K, 3) as measured by a camera."""
         parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]
         before = self._seen(parameters, np.broadcast_to(record.starts, end.shape), 0.0)
         after = self._seen(parameters, np.clip(np.nan_to_num(end, nan=FAR), -FAR, FAR), record.span)
         return covered(before, after, record.starts[:, 2])
 
     def _seen(self, parameters, motion, t) -> np.ndarray:
-        """(R, K, 3) reported pose."""
+        """Measured pose (R, K, 3)."""
         flat = np.zeros(motion.shape[:-1])
         seen = SensorReadings(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
         seen = self.active.measure(np, parameters, seen)
@@ -202,7 +202,7 @@ class PlanarBody(ParameterRow):
 
 
 def covered(before, after, heading) -> np.ndarray:
-    """(..., 3) ahead, left, turned from poses before and after, in the frame of `heading` (...)."""
+    """Displacement (..., 3) ahead, left, turned between two poses, in the frame of `heading` (...)."""
     d = after - before
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0], d[..., 2]], -1)

@@ -1,10 +1,10 @@
-"""One servo on a pendulum: the actuator alone, with the supply voltage of the log.
+"""Servo on a pendulum: the actuator alone, with the logged supply voltage.
 
     duty   = clip(gain (goal - angle), +-most)                     set by the firmware; 0 with the torque off
     torque = stall duty - on k_b w                                 stall: torque at full duty and the rig's nominal voltage
     (m l^2 + J) dw/dt = torque - D w - m g l sin(angle) + effects  at their sites servo and gear
 
-The firmware's gain and the largest duty come from the log itself, which holds the set duty. A parameter row is
+The log, which holds the set duty, determines the firmware's gain and the largest duty. A parameter row is
 [constants (factors on the nominal servo), effects].
 """
 
@@ -25,12 +25,12 @@ from fishmj.gap.records.records import Sensor
 
 DT = 0.002  # s
 STRIDE = 2  # steps between samples
-LEAD = 1.0  # ohm; a sag of 1 ohm is the rail as it was measured
+LEAD = 1.0  # ohm; a sag resistance of 1 ohm gives the measured voltage
 NOT_HERE = {"joint_hydro_damping"}  # water
 
 
 class ServoMotor(NamedTuple):
-    """Nominal servo, SI; the constants of a row are factors on it."""
+    """Nominal servo, SI. The constants of a row are factors on it."""
 
     stall: float  # N m at full duty
     back_emf: float  # N m s/rad, with the torque on
@@ -39,7 +39,7 @@ class ServoMotor(NamedTuple):
 
 
 class Pendulum(NamedTuple):
-    """The load and the supply."""
+    """Load and supply."""
 
     mass: float  # kg
     length: float  # m
@@ -49,7 +49,7 @@ class Pendulum(NamedTuple):
 class PendulumLog(NamedTuple):
     """One log. commands: (T, 5) at the model's steps: goal [rad], torque on (0 or 1), supply [V], gain [duty/rad], largest duty.
 
-    start: angle and rate at t = 0. session: s since the first log.
+    start: angle and rate at t = 0. session: time since the first log, s.
     """
 
     name: str
@@ -66,7 +66,7 @@ class PendulumLog(NamedTuple):
 def measured_rail(xp, p, s, memory, h):
     """(k_p, k_v, limit)' = share (k_p, k_v, limit), share = 1 - (R / 1 ohm) (V_0 - V) / V_0 with V from the log.
 
-    The firmware sets the duty cycle, so all of the torque follows the supply voltage, not only its limit.
+    The firmware sets the duty cycle, so the supply voltage scales the whole torque, not only its limit.
     """
     share = 1.0 - p.resistance * s.current
     return s._replace(kp=share * s.kp, kv=share * s.kv, limit=share * s.limit), memory
@@ -75,9 +75,8 @@ def measured_rail(xp, p, s, memory, h):
 class OneServo(ParameterRow):
     """Model of one servo. Args: motor: nominal. rig: load and supply. constants: fitted factors.
 
-    catalogue: effects; default, all that apply to a servo on a bench. dt: s, the step. centred: a command that changes at a step
-    acts half a step later. The rates of this (leapfrog) scheme lie between two steps, and would otherwise respond half a step
-    early.
+    catalogue: effects, by default those of `acting`. dt: time step, s. centred: delays commands by half a step. The rates of this
+    (leapfrog) scheme lie between two steps and would otherwise respond half a step early.
     """
 
     def __init__(
@@ -92,7 +91,7 @@ class OneServo(ParameterRow):
         self.motor, self.rig, self.dt, self.lag = motor, rig, dt, 0.5 * centred
         self.constants = tuple(Constant(n, 0.3) for n in ServoMotor._fields) if constants is None else constants
         chosen = acting() if catalogue is None else catalogue
-        sagging = (replace(e, servo=measured_rail) if e.name == "voltage_sag" else e for e in chosen)  # of the measured voltage
+        sagging = (replace(e, servo=measured_rail) if e.name == "voltage_sag" else e for e in chosen)  # from the measured voltage
         self.active = effects.EffectStack(sagging, joints=1)
 
     @cached_property
@@ -111,7 +110,7 @@ class OneServo(ParameterRow):
         goal, on, volts, gain, most = command
         session = self.active.begin(jnp, row[len(self.constants) :], state[2:])
         target = session.command(0, goal, self.dt)
-        sag = (1.0 - volts / self.rig.voltage) / LEAD  # of the nominal voltage, as a current through LEAD
+        sag = (1.0 - volts / self.rig.voltage) / LEAD  # share of the nominal voltage, as a current through LEAD
         s = ServoDrive(target - angle, angle, rate, gain * m.stall, 0.0, m.back_emf, most * m.stall, sag, session.time)
         s = session.servo(0, s, self.dt)
         drive = on * jnp.minimum(jnp.maximum(s.kp * s.error - s.kv * rate, -s.limit), s.limit)
@@ -123,7 +122,7 @@ class OneServo(ParameterRow):
         return [angle + self.dt * rate, rate, *session.end(0.0, self.dt)]
 
     def predict(self, records: list[PendulumLog], rows) -> list[dict]:
-        """The encoder's readings for every parameter row (R, P) on every record: {"joint": (R, K, 1)} at its stamps."""
+        """Encoder readings at the stamps of every record, for parameter rows (R, P): {"joint": (R, K, 1)}."""
         rows = np.atleast_2d(np.asarray(rows, float))
         longest = max(len(r.commands) for r in records)
         inputs = np.stack([np.pad(r.commands, ((0, longest - len(r.commands)), (0, 0)), mode="edge") for r in records])

@@ -1,12 +1,12 @@
-"""Names the missing term by cross-validation over groups: conditions, gains, runs outside every fit.
+"""Identifies the missing term by cross-validation over groups of records, such as conditions, gains or runs.
 
     per fold    baseline fitted -> screen -> refit with the constants -> cost on the groups left out
-    accepted    P(the cost left out falls by more than `USEFUL`) over Bayesian bootstrap draws of the groups, best in most folds;
-                and an exact test over the groups of each fold's choice by its own records, if they are not too few for one
-    named       the same best effect in the folds, P(best) over the same draws, rivals by the exact test too, closure on records
-                kept aside for the last figure, or on the groups left out if there are none
+    accepted    P(the held-out cost falls by more than `USEFUL`) over Bayesian bootstrap draws of the groups; best in most folds;
+                an exact test over the groups for each fold's choice by its own records, if there are enough groups
+    named       the folds agree on the best effect; P(best) over the same draws; rivals by the exact test too; closure on records
+                kept aside for the last figure, or on the held-out groups if there are none
 
-Constants of the baseline are refitted with every candidate: a change that a constant can explain is no effect.
+Every candidate refits the constants of the baseline: a change that a constant can explain is no effect.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,20 +25,20 @@ from fishmj.gap.search.fit import Candidate, EffectFitter
 from fishmj.gap.thresholds import thresholds
 
 FIT, POLISH = 16, 6  # iterations
-PRIOR = 0.5  # of a constant, how far the screen lets it turn
+PRIOR = 0.5  # of a constant, for the tangents of the screen
 
-USEFUL, SURE = 0.02, 0.95  # share by which the cost left out must fall, and its probability
+USEFUL, SURE = 0.02, 0.95  # least relative fall of the held-out cost, and its probability
 
 
 @dataclass(frozen=True)
 class Study:
     """One measured set, ready for the search.
 
-    learn, aside: records; `aside` ones are used for the last figure only. fold: (L,) of each record of `learn`.
+    learn, aside: records; `aside` is used for the last figure only. fold: (L,) fold of each record in `learn`.
     error(records, row): mean square over all measurements; printed as its root times `factor` in `unit`, or unchanged
     if `unit` is "". floor: the mean square below which nothing can be detected, and `floor_of` its origin; replicates: True if
-    it is the scatter of repeats, else a sensor's noise. origin: measured or synthetic. rounds: effects to add at most. floor_at:
-    the floor and its words for another parameter row than the nominal one, if it depends on it.
+    it is the scatter of repeats, else a sensor's noise. origin: measured or synthetic. rounds: most effects to add. floor_at:
+    floor and its origin for a parameter row, if the floor depends on it.
     """
 
     name: str
@@ -53,14 +53,14 @@ class Study:
     unit: str = ""
     factor: float = 1.0
     notes: tuple[str, ...] = ()
-    ahead: int = 8  # candidates refitted a fold
+    ahead: int = 8  # candidates that a fold refits
     replicates: bool = True
     origin: str = "measured"
     rounds: int = 2
     floor_at: Callable[[np.ndarray], tuple[float, str]] | None = None
 
     def settled(self, row: np.ndarray) -> "Study":
-        """The study with the floor of a parameter row's model: the effect of noise at a start depends on the model."""
+        """Study with the floor of a parameter row, since the effect of noise at a start depends on the model."""
         if self.floor_at is None:
             return self
         floor, of = self.floor_at(row)
@@ -68,7 +68,7 @@ class Study:
 
     @property
     def groups(self) -> list[str]:
-        """The groups of the search."""
+        """Names of the groups of the search."""
         return sorted({r.group for r in self.learn})
 
     def figure(self, square: float) -> float:
@@ -76,17 +76,17 @@ class Study:
         return self.factor * float(np.sqrt(square)) if self.unit else float(square)
 
     def said(self, square: float) -> str:
-        """A mean square in the protocol's form, with its unit."""
+        """Text of a mean square in the protocol's form, with its unit."""
         return f"{self.figure(square):.4g} {self.unit}".strip()
 
 
 @dataclass(frozen=True)
 class SelectionRound:
-    """One round. names: of the candidates; cost (C, G) on groups left out; best: per fold, by its own records; fitted: on all.
+    """Round of the search. names: candidates; cost (C, G): on groups left out; best: per fold, by its records; fitted: on all.
 
-    groups: (G,) in the order of counting. errors: (G, 2) of the study on each group left out, of the model before and of the
-    fold's choice by its own records: no choice used the group. p_exact: of the cost of those choices, one-sided. p_rival: that
-    the best is better than each other candidate, the same test.
+    groups: (G,) sorted. errors: (G, 2) of the study on each group left out, for the model before and the fold's choice by its
+    own records, which exclude the group. p_exact: one-sided exact test on the cost of those choices. p_rival: the same test of
+    the best against each other candidate.
     """
 
     names: tuple[str, ...]
@@ -110,7 +110,7 @@ class StudyOutcome:
 
     base: Candidate
     rounds: tuple[SelectionRound, ...]
-    learned: tuple[float, ...]  # error on `learn`: baseline, then after each accepted round
+    learned: tuple[float, ...]  # error on `learn`: baseline, after each accepted round
     kept_aside: tuple[float, ...]
 
     @property
@@ -120,14 +120,14 @@ class StudyOutcome:
 
     @property
     def unseen(self) -> np.ndarray:
-        """(G, 2) error on each group left out, of the baseline and of the accepted model as the folds chose it."""
+        """Error (G, 2) on each group left out, of the baseline and of the accepted model as chosen by the folds."""
         accepted = [r for r in self.rounds if r.accepted]
         first, last = self.rounds[0].errors, (accepted or self.rounds)[-1].errors
         return np.stack([first[:, 0], last[:, 1] if accepted else first[:, 0]], 1)
 
 
 class Fold:
-    """A search on some records, under the scatter of the baseline fitted to them."""
+    """Search on some records, whitened by the residual scatter of the baseline fitted to them."""
 
     def __init__(self, study: Study, records: Sequence, start: Candidate | None = None):
         self.study, self.records = study, list(records)
@@ -143,7 +143,7 @@ class Fold:
         self.base = self.search.refine([scored(self.search, fit)], FIT)[0]
 
     def ranked(self, effects, count: int) -> list[Candidate]:
-        """The best candidates one effect larger than the baseline, fitted with all constants."""
+        """Best `count` candidates with one effect more than the baseline, fitted with all constants."""
         tangents = self._tangents()
         whiten = self.scatter.whiten(self.layout, self.groups, tangents)
         rough = EffectFitter(self.study.plant, self.records, self.layout, whiten)
@@ -152,25 +152,25 @@ class Fold:
         return self.refit(found)
 
     def trust(self, row: np.ndarray) -> None:
-        """Uses the scatter of this row's residual: the baseline's scatter also holds the missing effect, and would hide it."""
+        """Uses the residual scatter of this row; the baseline's scatter contains the missing effect and would hide it."""
         residual = self.layout.residuals(self.study.plant.predict(self.records, row))[0]
         self.scatter = Scatter(self.layout, self.groups, residual)
         self.search = EffectFitter(self.study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
         self.base = self.search.refine([scored(self.search, self.base)], POLISH)[0]
 
     def refit(self, candidates: list[Candidate]) -> list[Candidate]:
-        """The same effects, fitted to these records."""
+        """Fits the same effects to these records."""
         return self.search.refine([scored(self.search, c) for c in candidates], POLISH) if candidates else []
 
     def costs(self, left_out: Sequence, rows: np.ndarray) -> dict[str, np.ndarray]:
-        """{group: (R,)} |z|^2 of the records left out."""
+        """|z|^2 of the records left out: {group: (R,)}."""
         layout, groups = ResidualLayout(list(left_out)), [r.group for r in left_out]
         z = EffectFitter(self.study.plant, list(left_out), layout, self.scatter.whiten(layout, groups)).z(rows)
         each = likelihood.costs(z, layout)
         return {g: each[:, [i for i, h in enumerate(groups) if h == g]].sum(1) for g in sorted(set(groups))}
 
     def _tangents(self) -> np.ndarray:
-        """(C, m) change of the residual by the prior of each fitted place."""
+        """Change (C, m) of the residual by PRIOR in each fitted parameter."""
         rows = np.tile(self.base.row, (1 + len(self.base.places), 1))
         for i, place in enumerate(self.base.places):
             rows[1 + i, place] += 0.05 * max(abs(rows[0, place]), 0.1)
@@ -179,7 +179,7 @@ class Fold:
 
 
 def scored(search: EffectFitter, c: Candidate) -> Candidate:
-    """The candidate with its cost under this search."""
+    """Candidate with its cost under this search."""
     z = search.z(c.row[None])[0]
     return Candidate(c.names, c.places, c.row, float(z @ z), z)
 
@@ -187,8 +187,8 @@ def scored(search: EffectFitter, c: Candidate) -> Candidate:
 def investigate(
     study: Study, *, most: int = 2, has=(), say=lambda text: None, bars: progress.Bars = progress.silent_bar
 ) -> StudyOutcome:
-    """Adds effects while groups outside the fit get better. has: names of effects that the model already holds."""
-    steps = 2 + len(set(study.fold))  # of a round; the baseline counts as one
+    """Adds effects while the error on held-out groups falls. has: names of effects already in the model."""
+    steps = 2 + len(set(study.fold))  # fits of a round; the baseline counts as one
     with bars(most * steps, study.name, "fits") as bar:
         base = current = extended(study, has)
         rounds: list[SelectionRound] = []
@@ -196,8 +196,8 @@ def investigate(
         aside = f", {study.said(kept[0])} on the {len(study.aside)} kept aside" if kept else ""
         say(f"baseline: error {study.said(learned[0])} on {len(study.learn)} records{aside}")
         while len(rounds) < most:
-            begun = len(rounds) * steps
-            step = one_round(study, current, lambda k, begun=begun: bar.update(begun + 1 + k))
+            done = len(rounds) * steps
+            step = one_round(study, current, lambda k, done=done: bar.update(done + 1 + k))
             rounds.append(step)
             found = step.fitted.names[-1]
             verdict = "accepted" if step.accepted else "not accepted"
@@ -216,7 +216,7 @@ def investigate(
 
 
 def extended(study: Study, has=()) -> Candidate:
-    """The baseline with the effects `has`, all fitted to `learn`."""
+    """Baseline with the effects `has`, all fitted to `learn`."""
     whole = Fold(study, study.learn)
     found = whole.base
     for name in has:
@@ -225,7 +225,7 @@ def extended(study: Study, has=()) -> Candidate:
 
 
 def one_round(study: Study, current: Candidate, done=lambda k: None) -> SelectionRound:
-    """All folds once, for candidates one effect larger than `current`. done: receives the number of finished fits."""
+    """Runs all folds for candidates with one effect more than `current`. done: receives the number of finished fits."""
     effects = [e for e in study.plant.active.effects if e.name not in current.names]
     folds, own = [], []
     for k in sorted(set(study.fold)):
@@ -282,7 +282,7 @@ def one_round(study: Study, current: Candidate, done=lambda k: None) -> Selectio
 
 
 def restarted(c: Candidate, base: Candidate) -> Candidate:
-    """The candidate of another fold on this fold's constants."""
+    """Candidate of another fold with this fold's constants."""
     row = c.row.copy()
     row[list(base.places)] = base.row[list(base.places)]
     return Candidate(c.names, c.places, row, c.cost, c.z)

@@ -1,8 +1,8 @@
-"""A study of a body in the plane: short free runs from a smoothed pose and speed, predicted from there.
+"""Study of a planar body: predicts short free runs from a smoothed initial pose and speed.
 
-A fish, a boat, an ROV at one depth: known are its position, its heading and its commands. Start and end
-of a run are the middle of a cubic fitted to the rows around them (Savitzky and Golay 1964), which bends with the path;
-unprocessed rows get a moving average.
+Examples are a fish, a boat, or an ROV at constant depth; position, heading and commands are known. Start and end of a run are
+the middle of a cubic fitted to the rows around them (Savitzky and Golay 1964), which follows the path's curvature; rows that are
+used as logged get a moving average.
 """
 
 from collections.abc import Sequence
@@ -17,26 +17,26 @@ from fishmj.gap.measured.study_logs import Log
 from fishmj.gap.measured.study_schema import StudyInput
 from fishmj.gap.records.records import ResidualLayout, Sensor
 
-DT = 0.02  # s, the model's step at most
-SHARE = 1 / 3  # of the horizon that the window takes where the study does not say
+DT = 0.02  # s, largest step of the model
+SHARE = 1 / 3  # default window as a share of the horizon
 CUBIC = 3
-DRAWS = 16  # of the sensors' noise, for what it does to a prediction
-GAPS = 5.0  # steps without a row: no run goes across
+DRAWS = 16  # of the sensors' noise, for its effect on a prediction
+GAPS = 5.0  # steps without a row that no run crosses
 MOST_RUNS = 4000
 
 
 class RecordPath(NamedTuple):
-    """A record at even steps h [s]. path: (T, 3) x, y, yaw; t: (T,); whole: (T - 1,) no gap before the next row."""
+    """Record at even steps h [s]. path: (T, 3) x, y, yaw; t: (T,); whole: (T - 1,) no gap before the next row."""
 
     path: np.ndarray
     t: np.ndarray
     h: float
-    shown: float  # s, the step that averages and runs are counted in
+    shown: float  # s, step that defines the rows of averages and runs
     whole: np.ndarray
 
 
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> tuple[list[MeanGait], float]:
-    """(runs of every log that is long enough for one, the model's step [s]).
+    """Returns (runs of every log that is long enough, step of the model [s]).
 
     Raises LogError: no log is long enough, or there are more runs than a study takes.
     """
@@ -57,7 +57,7 @@ def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str]) -> tu
 
 
 def even_step(logs: Sequence[Log]) -> float:
-    """The median step of the rows of all logs."""
+    """Median step of the rows of all logs, s."""
     return float(np.median(np.concatenate([np.diff(log.series["x"].t) for log in logs])))
 
 
@@ -81,7 +81,7 @@ def _track(study: StudyInput, log: Log, step: float) -> RecordPath:
 
 
 def _runs(study: StudyInput, log: Log, group: str, step: float, dt: float) -> MeanGait | None:
-    """The runs of one log; None if it is too short for one."""
+    """Runs of one log; None if it is too short."""
     p = study.given.prediction
     track = _track(study, log, step)
     h = track.h
@@ -111,7 +111,7 @@ def _runs(study: StudyInput, log: Log, group: str, step: float, dt: float) -> Me
 
 
 def _commands(log: Log, begin: np.ndarray, span: float, dt: float) -> np.ndarray:
-    """(1, 2) if nothing changes in the log, (K, T, 2) of each run otherwise; missing commands are 0."""
+    """Commands: (1, 2) if constant in the log, else (K, T, 2) per run; missing ones are 0."""
     given = [log.series.get(k) for k in ("amplitude", "bias")]
     if all(s is None or not np.ptp(s.values) for s in given):
         return np.array([[0.0 if s is None else s.values[0] for s in given]])
@@ -121,12 +121,12 @@ def _commands(log: Log, begin: np.ndarray, span: float, dt: float) -> np.ndarray
 
 
 def averaged(values: np.ndarray, n: int) -> np.ndarray:
-    """(T - n + 1, C) mean of n rows."""
+    """Moving average (T - n + 1, C) of n rows."""
     return np.stack([np.convolve(column, np.ones(n) / n, "valid") for column in values.T], 1)
 
 
 def with_scale(found: list[MeanGait], least: np.ndarray) -> list[MeanGait]:
-    """The runs with a scale of errors: unless the study states one, the rms of the displacements, at least `least` (3,)."""
+    """Runs with an error scale: the study's, else the rms of the displacements, at least `least` (3,)."""
     if np.isfinite(found[0].pose.sigma).all():
         return found
     every = np.concatenate([r.pose.values for r in found])
@@ -161,7 +161,7 @@ def smoothed_noise(study: StudyInput, h: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def seen_noise(plant: PlanarBody, found: Sequence[MeanGait], row: np.ndarray, noise: tuple[np.ndarray, np.ndarray]) -> float:
-    """Error from the sensors' noise alone: the body of a parameter row from starts with and without noise, plus that at the ends.
+    """Error from sensor noise alone, at starts and ends of runs of the body with a parameter row.
 
     noise: of pose (3,) and rate (3,).
     """
@@ -176,9 +176,9 @@ def seen_noise(plant: PlanarBody, found: Sequence[MeanGait], row: np.ndarray, no
 
 
 def repeats(found: Sequence[MeanGait], near: float) -> float:
-    """Error of a faultless model: half the mean square difference between runs of two records of one group.
+    """Error of a perfect model: half the mean square difference between runs of two records of one group.
 
-    The starting speeds of both runs differ by less than `near` of the error's scale a run.
+    Initial speeds of both runs differ by less than `near` times the error scale per run.
     """
     seen = []
     for i, a in enumerate(found):

@@ -1,9 +1,9 @@
-"""Schema of a study, `fishmj.study/1`: every block and key with its unit and its bounds.
+"""Schema of a study, `fishmj.study/1`: all blocks and keys with units and bounds.
 
-    read_study("my.toml")     the file, checked: one ConfigError that lists the errors, a line for each
-    variants(study)           {name: the same study with the keys of one [[variant]] in place of its own}
+    read_study("my.toml")     reads and checks a file; one ConfigError lists the errors, one per line
+    variants(study)           {name: the study with the keys of one [[variant]] replaced}
 
-Nothing of a study is ever run: names of files are matched letter by letter, columns and effects are looked up by name.
+A study executes no code: file names are matched literally, columns and effects are looked up by name.
 """
 
 from collections.abc import Mapping
@@ -28,12 +28,12 @@ from fishmj.mjcf.description_schema import Name, Text, TomlTable, name, number, 
 
 SCHEMA = "fishmj.study/1"
 PLANTS = ("body", "servo", "coast")
-FOLDS = 50  # most groups that are left out one by one
+FOLDS = 50  # most groups for leave-one-out
 ANY = "any"  # of a column: any unit, or none
 
 
 class ColumnRule(NamedTuple):
-    """A column of ours: its quantity ("" no unit, ANY), True if a study needs it, its meaning."""
+    """Column of a study. kind: quantity ("" no unit, or ANY); needed: True if required; about: meaning."""
 
     kind: str
     needed: bool
@@ -45,18 +45,18 @@ COLUMNS: dict[str, dict[str, ColumnRule]] = {
         "x": ColumnRule("length", True, "position in a frame that does not move"),
         "y": ColumnRule("length", True, "position, 90 degrees counter-clockwise from x"),
         "yaw": ColumnRule("angle", True, "heading, counter-clockwise from x; it may wrap"),
-        "amplitude": ColumnRule(ANY, False, "what drives ahead; see baseline.drive"),
-        "bias": ColumnRule(ANY, False, "what turns; see baseline.drive"),
+        "amplitude": ColumnRule(ANY, False, "forward command; see baseline.drive"),
+        "bias": ColumnRule(ANY, False, "turning command; see baseline.drive"),
     },
     "servo": {
-        "goal": ColumnRule("angle", True, "angle that was commanded"),
-        "angle": ColumnRule("angle", True, "angle that was measured, 0 where the load hangs"),
-        "rate": ColumnRule("rate", False, "its rate at the start; without it a record begins at rest"),
-        "duty": ColumnRule("", False, "duty cycle that the firmware set, -1 to 1; it tells the gain"),
+        "goal": ColumnRule("angle", True, "commanded angle"),
+        "angle": ColumnRule("angle", True, "measured angle, 0 where the load hangs"),
+        "rate": ColumnRule("rate", False, "its rate, for initial rates; without it a record begins at rest"),
+        "duty": ColumnRule("", False, "duty cycle set by the firmware, -1 to 1; determines the gain"),
         "on": ColumnRule("", False, "1 while the torque is on"),
         "volts": ColumnRule("voltage", False, "supply"),
     },
-    "coast": {"speed": ColumnRule("speed", True, "speed over ground, ahead; the propulsion is off")},
+    "coast": {"speed": ColumnRule("speed", True, "forward speed over ground, propulsion off")},
 }
 NOMINAL: dict[str, tuple[str, ...]] = {
     "body": Hull._fields,
@@ -77,7 +77,7 @@ def flag(what: str, default: bool = False) -> Any:
 
 
 def listed(what: str, expected: str, default: Any = ()) -> Any:
-    """Field for a value that is neither number nor text: meaning and expected value."""
+    """Field for a value other than a number or text: meaning and expected value."""
     return Field(default, description=what, json_schema_extra={"unit": "", "expected": expected})
 
 
@@ -89,87 +89,87 @@ Size = Annotated[float, Field(ge=0.0, le=1e9, allow_inf_nan=False)]
 class DataBlock(TomlTable):
     """Place of the records."""
 
-    folder: str | None = text("beside this file: tables of your own with [columns], or trial folders", default=None, most=1000)
-    set: str | None = text("a published set in the folder that FISHMJ_MEASURED names", default=None, most=64)
-    files: str = text("pattern of the files' names", default="*.csv", most=200, least=1)
-    names: str = text("what a file's name tells, such as {day}_{setting}_{run}", most=200)
+    folder: str | None = text("path relative to this file: your tables with [columns], or trial folders", default=None, most=1000)
+    set: str | None = text("published set in the folder FISHMJ_MEASURED", default=None, most=64)
+    files: str = text("pattern of file names", default="*.csv", most=200, least=1)
+    names: str = text("values in a file's name, such as {day}_{setting}_{run}", most=200)
 
 
 class GroupsBlock(TomlTable):
     """Grouping of the records."""
 
     by: Annotated[Words, Field(min_length=1, max_length=6)] = listed(
-        "records that agree in all of these are a group", "1 to 6 names"
+        "records that agree in all of these form a group", "1 to 6 names"
     )
 
 
 class HeldOutBlock(TomlTable):
     """Records outside every fit."""
 
-    aside: int = whole("groups drawn by the seed for the last figure only", 0, 1000, default=0)
+    aside: int = whole("number of random groups for the last figure only", 0, 1000, default=0)
     where: dict[str, str | float | int] = listed("records kept aside instead", 'a table such as { trajectory = "sine" }', {})
-    folds: int = whole("0: one group left out at a time; else so many parts of the groups", 0, FOLDS, default=0)
+    folds: int = whole("number of folds; 0: leave one group out at a time", 0, FOLDS, default=0)
 
 
 class NoiseBlock(TomlTable):
-    """One standard deviation of a reading, which no model explains."""
+    """Standard deviation of a reading."""
 
     position: float = number("body", 0.0, 1e3, "m", default=0.0)
     heading: float = number("body", 0.0, 3.2, "rad", default=0.0)
     angle: float = number("servo", 0.0, 3.2, "rad", default=0.0)
     resolution: float = number("servo: one count of the encoder", 0.0, 3.2, "rad", default=0.0)
     speed: float = number("coast", 0.0, 1e3, "m/s", default=0.0)
-    replicates: bool = flag("body: also what runs of one group that start alike differ by")
-    near: float = number("how alike, in units of the error's scale", 0.0, 100.0, above=True, default=0.5)
+    replicates: bool = flag("body: also the scatter of similar runs within a group")
+    near: float = number("largest difference of similar starts, in error scales", 0.0, 100.0, above=True, default=0.5)
 
 
 class PredictionBlock(TomlTable):
     """Predicted quantity, and the start of each prediction."""
 
     horizon: float = number("length of a free run; 0: the whole record", 0.0, 3600.0, "s", default=0.0)
-    average: float | None = number("body: the moving average that gives each start and end", 0.0, 600.0, "s", default=None)
-    step: float | None = number("body: rows are made even at this step", 1e-3, 10.0, "s", default=None)
+    average: float | None = number("body: averaging time of each start and end", 0.0, 600.0, "s", default=None)
+    step: float | None = number("body: step to which rows are resampled", 1e-3, 10.0, "s", default=None)
     scale: Annotated[list[Positive], Field(min_length=3, max_length=3)] | None = listed(
-        "body: unit of error", "[m, m, rad], each above 0", None
+        "body: error scale", "[m, m, rad], each above 0", None
     )
-    as_logged: bool = flag("body: rows as they are, averaged; servo: the model's step of 2 ms")
-    clock: bool = flag("published sets: stamps corrected by the trial's clock_ratio")
-    pictures: bool = flag("with clock: runs and averages of the same rows as without")
+    as_logged: bool = flag("body: average rows without resampling; servo: model step of 2 ms")
+    clock: bool = flag("published sets: correct stamps by the trial's clock_ratio")
+    pictures: bool = flag("with clock: take runs and averages from the same rows as without")
 
 
 class BaselineBlock(TomlTable):
-    """The model before anything is added."""
+    """Model before effects are added."""
 
     fitted: Annotated[Words, Field(min_length=1)] = listed(
-        "nominal sizes that every fit adapts, from a tenth to ten times", "one or more names of [nominal]"
+        "nominal values that every fit adapts, by a factor of 0.1 to 10", "one or more names of [nominal]"
     )
     drive: Literal["tail", "linear", "propeller", "twin"] = listed(
-        "body: what the two commands do", ", ".join(map(repr, DRIVES)), "linear"
+        "body: meaning of the two commands", ", ".join(map(repr, DRIVES)), "linear"
     )
 
 
 class CandidatesBlock(TomlTable):
     """Candidate terms; missing keys take the plant's own list."""
 
-    only: Words | None = listed("these in place of the plant's list", "names of effects or rivals", None)
-    leave_out: Words = listed("not these", "names of effects or rivals", [])
-    rivals: bool = flag("terms outside the catalogue beside it, which a name has to beat", True)
+    only: Words | None = listed("candidates in place of the plant's list", "names of effects or rivals", None)
+    leave_out: Words = listed("excluded candidates", "names of effects or rivals", [])
+    rivals: bool = flag("add terms outside the catalogue, which a named effect must beat", True)
 
 
 class SearchBlock(TomlTable):
     """Settings of the search."""
 
-    rounds: int = whole("terms to add at most", 1, 4, default=2)
-    ahead: int = whole("candidates that are refitted in a fold", 2, 60, default=8)
-    seed: int = whole("of what is drawn", 0, 2**53 - 1, default=0)
+    rounds: int = whole("most terms to add", 1, 4, default=2)
+    ahead: int = whole("candidates that each fold refits", 2, 60, default=8)
+    seed: int = whole("seed of random choices", 0, 2**53 - 1, default=0)
 
 
 class StudyFile(TomlTable):
     """The whole file."""
 
     schema_: Literal["fishmj.study/1"] = Field(alias="schema", json_schema_extra={"expected": repr(SCHEMA)})
-    name: Name = name("on pages and in JSON")
-    about: Text = text("one line", most=500)
+    name: Name = name("name on pages and in JSON")
+    about: Text = text("description, one line", most=500)
     origin: Literal["measured", "synthetic"] = Field("measured", json_schema_extra={"expected": "'measured' or 'synthetic'"})
     plant: Literal["body", "servo", "coast"] = Field(json_schema_extra={"expected": "'body', 'servo' or 'coast'"})
     data: DataBlock = Field(json_schema_extra={"expected": "a block [data]"})
@@ -188,7 +188,7 @@ class StudyFile(TomlTable):
 
 
 class StudyInput(NamedTuple):
-    """A study from its file. stamp, columns: of the user's tables; folder: of the file; table: parsed TOML."""
+    """Study as read from a file. stamp, columns: of the user's tables; folder: of the file; table: parsed TOML."""
 
     given: StudyFile
     where: str
@@ -199,10 +199,10 @@ class StudyInput(NamedTuple):
 
 
 def read_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> StudyInput:
-    """A study from a file.
+    """Reads a study.
 
     Args:
-        changes: keys in place of the file's own, by block.
+        changes: keys that replace those of the file, by block.
     Raises:
         ConfigError: no such file, not TOML, or not a study; every error has a line with block, key, got and expected.
     """
@@ -210,7 +210,7 @@ def read_study(path: str | Path, changes: Mapping[str, Any] | None = None) -> St
 
 
 def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with the changes in it; tables within are merged, anything else is replaced."""
+    """Merges the changes into a table; nested tables are merged, other values replaced."""
     out = dict(table)
     for key, value in changes.items():
         both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
@@ -224,7 +224,7 @@ def variants(study: StudyInput) -> dict[str, StudyInput]:
     for i, given in enumerate(study.given.variant):
         label, where = given.get("name"), f"{study.where} [[variant]] {i + 1}"
         if not isinstance(label, str) or not label.isprintable() or not 0 < len(label) <= 200 or label in found:
-            raise ConfigError(f"{where}: got name = {shown(label)}, expected printable text of its own; say what is different")
+            raise ConfigError(f"{where}: got name = {shown(label)}, expected unique printable text; describe the difference")
         rest = {key: value for key, value in given.items() if key != "name"}
         table = merged({key: value for key, value in study.table.items() if key != "variant"}, rest)
         found[label] = checked(table, where, study.folder)
@@ -232,7 +232,7 @@ def variants(study: StudyInput) -> dict[str, StudyInput]:
 
 
 def checked(table: dict[str, Any], where: str, folder: Path) -> StudyInput:
-    """The table as a study. Raises ConfigError: lists the errors, a line for each."""
+    """Validates a table as a study. Raises ConfigError, which lists the errors, one per line."""
     try:
         given = StudyFile.model_validate(table)
     except ValidationError as error:
@@ -240,8 +240,8 @@ def checked(table: dict[str, Any], where: str, folder: Path) -> StudyInput:
     except RecursionError:
         raise ConfigError(f"{where}: nested too deeply; expected blocks of numbers and names") from None
     lines = [f"{where} {line}" for line in _relations(given)]
-    stamp, columns, told = _columns(given)
-    lines += [f"{where} [columns] {line}" for line in told]
+    stamp, columns, faults = _columns(given)
+    lines += [f"{where} [columns] {line}" for line in faults]
     if lines:
         raise DescriptionError(lines)
     return StudyInput(given, where, folder, table, stamp, columns)
@@ -278,7 +278,7 @@ def _near(key: str, known: list[str]) -> str:
 
 
 def _field_at(keys: list[str]) -> tuple[FieldInfo | None, list[str]]:
-    """The field of a place, and the possible keys there."""
+    """Field at a place, and the possible keys there."""
     model: Any = StudyFile
     info: FieldInfo | None = None
     known: list[str] = []
@@ -304,7 +304,7 @@ BLOCKS = tuple(
 
 
 def _relations(s: StudyFile) -> list[str]:
-    """Errors between keys."""
+    """Errors in the combination of keys."""
     out = []
     if (s.data.folder is None) == (s.data.set is None):
         out.append("[data]: got both or none of folder and set, expected one; folder = your tables, set = a published set")
@@ -313,7 +313,7 @@ def _relations(s: StudyFile) -> list[str]:
     unknown = [k for k in s.nominal if k not in NOMINAL[s.plant]]
     out += [f"[nominal] {shown(k)[1:-1]}: unknown key, expected {', '.join(NOMINAL[s.plant])}" for k in unknown]
     lacking = [k for k in NEEDED[s.plant] if k not in s.nominal]
-    out += [f"[nominal] {k}: got nothing, expected a number, SI; a {s.plant} needs it, a guess is enough" for k in lacking]
+    out += [f"[nominal] {k}: got nothing, expected a number, SI; a {s.plant} needs it; an estimate is enough" for k in lacking]
     heavy = {"body": ("mass", "inertia"), "coast": ("mass",), "servo": ("voltage",)}[s.plant]
     out += [f"[nominal] {k}: got 0, expected a number above 0" for k in heavy if s.nominal.get(k) == 0.0]
     if (
@@ -325,7 +325,7 @@ def _relations(s: StudyFile) -> list[str]:
         if k not in FITTED[s.plant]:
             out.append(f"[baseline] fitted: got {shown(k)}, expected of {', '.join(FITTED[s.plant])}")
         elif not s.nominal.get(k):
-            out.append(f"[baseline] fitted: got {k}, whose nominal is 0, expected a guess above 0; a fit multiplies it")
+            out.append(f"[baseline] fitted: got {k}, whose nominal is 0, expected an estimate above 0; a fit multiplies it")
     if len(set(s.baseline.fitted)) < len(s.baseline.fitted):
         out.append("[baseline] fitted: got a name twice, expected each once")
     if s.plant == "body" and not s.prediction.horizon >= 0.2:
@@ -336,9 +336,9 @@ def _relations(s: StudyFile) -> list[str]:
         out.append("[prediction] pictures: got true without clock = true, expected both")
     noise = {"body": ("position", "heading"), "servo": ("angle", "resolution"), "coast": ("speed",)}[s.plant]
     if not any(getattr(s.noise, k) for k in noise) and not s.noise.replicates:
-        out.append(f"[noise]: got none of {', '.join(noise)}, expected one above 0; without it nothing says what agreement is")
+        out.append(f"[noise]: got none of {', '.join(noise)}, expected one above 0; it defines agreement")
     if s.noise.replicates and s.plant != "body":
-        out.append(f"[noise] replicates: got true for a {s.plant}, expected it of a body alone")
+        out.append(f"[noise] replicates: got true for a {s.plant}, expected true for a body only")
     names = {e.name for e in offered(s.plant)}
     for key, given in (("only", s.candidates.only or []), ("leave_out", s.candidates.leave_out)):
         for n in given:
@@ -348,7 +348,7 @@ def _relations(s: StudyFile) -> list[str]:
 
 
 def offered(plant: str) -> list[effects.Effect]:
-    """Every term that applies to a plant, rivals too."""
+    """All terms that apply to a plant, rivals included."""
     if plant == "coast":
         return [*map(effects.get, COASTING), *COAST_RIVALS]
     return [*planar_body.acting(), *RIVALS] if plant == "body" else servo_model.acting()
@@ -358,14 +358,14 @@ COASTING = ("linear_surge_drag", "steady_current")
 
 
 def _columns(s: StudyFile) -> tuple[column_map.Stamp | None, dict[str, column_map.Column], list[str]]:
-    """Maps the columns of the user's tables to ours."""
+    """Maps the columns of the user's tables to those of a study."""
     rules, lines = COLUMNS[s.plant], []
     stamp: column_map.Stamp | None = None
     columns: dict[str, column_map.Column] = {}
     if not s.columns:
         return None, {}, []
     if s.data.set is not None:
-        return None, {}, ["got columns for a published set, expected none; its reader knows them"]
+        return None, {}, ["got columns for a published set, expected none; its reader defines them"]
     for key, given in s.columns.items():
         if key != "t" and key not in rules:
             lines.append(f"{shown(key)[1:-1]}: unknown column{_near(key, ['t', *rules])}, expected t, {', '.join(rules)}")
@@ -396,5 +396,5 @@ def _unit_faults(c: column_map.Column, rule: ColumnRule) -> list[str]:
         allowed = ", ".join(u for u, (what, factor) in UNITS.items() if what == rule.kind and factor > 0)
         return [f"got no unit, expected one of {allowed}"]
     if (got := measures(c.unit)) != rule.kind:
-        return [f"got {c.unit}, which measures {got}, expected {SI.get(rule.kind) or 'no unit'} or its kin"]
+        return [f"got {c.unit}, which measures {got}, expected {SI.get(rule.kind) or 'no unit'} or a multiple"]
     return []

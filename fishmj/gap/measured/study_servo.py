@@ -1,4 +1,4 @@
-"""A study of one servo and its load: free runs of the angle from their measured starts, compared at the log's own stamps."""
+"""Study of one servo and its load: compares free runs from measured starts with the logged angle, at the log's stamps."""
 
 from collections.abc import Sequence
 
@@ -11,14 +11,14 @@ from fishmj.gap.measured.study_schema import StudyInput
 from fishmj.gap.records.records import Sensor
 from fishmj.log.limits import bare
 
-UNSATURATED = 0.9  # of the largest duty in the logs
-START = 0.05  # s around the start of a run from which its rate is told where the log has none
-FINE = 1e-3  # s
-LEAST = 5  # rows below the largest duty that a gain takes
+UNSATURATED = 0.9  # share of the largest duty in the logs
+START = 0.05  # s around the start of a run, for its rate if the log has none
+FINE = 1e-3  # s, largest step
+LEAST = 5  # least rows below the largest duty for a gain
 
 
 def rig(study: StudyInput) -> Pendulum:
-    """The load and the supply."""
+    """Load and supply."""
     nominal = study.given.nominal
     return Pendulum(mass=nominal["mass"], length=nominal["length"], voltage=nominal["voltage"])
 
@@ -31,7 +31,7 @@ def noise(study: StudyInput) -> tuple[float, float]:
 
 
 def step(study: StudyInput, logs: Sequence[Log]) -> float:
-    """The model's step, s: that of the shipped sets, or an integer fraction of the median row of at most FINE."""
+    """Step of the model, s: DT for rows as logged, else an integer fraction of the median row, at most FINE."""
     if study.given.prediction.as_logged:
         return DT
     row = float(np.median(np.concatenate([np.diff(log.series["angle"].t) for log in logs])))
@@ -39,7 +39,7 @@ def step(study: StudyInput, logs: Sequence[Log]) -> float:
 
 
 def records(study: StudyInput, logs: Sequence[Log], groups: Sequence[str], dt: float) -> list[PendulumLog]:
-    """Every log, whole or in runs of the horizon. Raises LogError: the gain is neither in the study nor determined by the log."""
+    """Records of all logs, whole or in runs of the horizon. Raises LogError: neither study nor log determines the gain."""
     nominal = study.given.nominal
     lacking = [log.where for log in logs if "duty" not in log.series]
     if lacking and not ("gain" in nominal and "duty" in nominal):
@@ -65,8 +65,8 @@ def _gain(study: StudyInput, log: Log, most: float) -> float:
     if inside.sum() < LEAST or not power > 0:
         raise LogError(
             f"{log.where}: {int(inside.sum())} rows with the torque on and a duty below {UNSATURATED:.0%} of the largest "
-            f"({most:.3g}), expected {LEAST} with an error of the angle; the gain cannot be told: is duty from -1 to 1, goal in "
-            "the unit of angle? Or give [nominal] gain in duty per rad"
+            f"({most:.3g}), expected {LEAST} with an error of the angle; the gain cannot be determined: is duty from -1 to 1, "
+            "goal in the unit of angle? Or give [nominal] gain in duty per rad"
         )
     gain = float(error[inside] @ _at(duty, angle.t)[inside] / power)
     if not gain > 0:
@@ -78,7 +78,7 @@ def _gain(study: StudyInput, log: Log, most: float) -> float:
 
 
 def _at(s: Series, t: np.ndarray) -> np.ndarray:
-    """Values at stamps t; values at identical stamps are taken unchanged."""
+    """Values at stamps t, interpolated unless the stamps are identical."""
     return s.values if s.t is t or np.array_equal(s.t, t) else np.interp(t, s.t, s.values)
 
 
@@ -87,7 +87,7 @@ def _on(log: Log, t: np.ndarray) -> np.ndarray:
 
 
 def _log(study: StudyInput, log: Log, group: str, most: float, dt: float) -> PendulumLog:
-    """A whole log at the plant's steps. most: the largest duty that the firmware sets."""
+    """Whole log at the plant's steps. most: largest duty that the firmware sets."""
     goal, angle = log.series["goal"], log.series["angle"]
     begin = float(goal.t[0])
     gain = _gain(study, log, most)
@@ -99,7 +99,7 @@ def _log(study: StudyInput, log: Log, group: str, most: float, dt: float) -> Pen
     keep = angle.t >= begin
     if keep.sum() < LEAST:
         raise LogError(
-            f"{log.where}: {int(keep.sum())} angles after the first goal, expected {LEAST}; do both count from one zero?"
+            f"{log.where}: {int(keep.sum())} angles after the first goal, expected {LEAST}; do both have the same time zero?"
         )
     return PendulumLog(
         name=log.name,
@@ -113,7 +113,7 @@ def _log(study: StudyInput, log: Log, group: str, most: float, dt: float) -> Pen
 
 
 def _rate(log: Log, row: int) -> float:
-    """Rate at a row: as logged; else the slope of a parabola through the rows around it, and zero at the first row."""
+    """Rate at a row: as logged, else the slope of a parabola through the rows around it; zero at the first row."""
     angle = log.series["angle"]
     if "rate" in log.series:
         return float(_at(log.series["rate"], angle.t)[row])
@@ -124,7 +124,7 @@ def _rate(log: Log, row: int) -> float:
 
 
 def _pieces(study: StudyInput, log: Log, r: PendulumLog) -> list[PendulumLog]:
-    """The log in runs of the horizon; the rest at the end is dropped."""
+    """Splits a log into runs of the horizon; drops the rest at the end."""
     span = study.given.prediction.horizon
     if not span or span >= r.joint.t[-1]:
         return [r]

@@ -1,7 +1,7 @@
-"""A tendon-driven fish that swims straight at four motor frequencies: three speeds fit the water, the fourth is predicted.
+"""Tendon-driven fish at four motor frequencies: three mean speeds fit the water, the fourth is predicted.
 
-The motion of the tail comes from the markers: the fundamental of the tail's and the fin's angle. The simulated fish bends
-in the same way, and its mean speed is compared. Fitted are one constant of the water, and optionally one term of the catalogue:
+The markers give the fundamental of the tail's and the fin's angle. The simulated fish bends in the same way, and the mean speeds
+are compared. The fit has one constant of the water, and optionally one term of the catalogue:
 
     min over grid of sum_three (log(speed / measured))^2
 """
@@ -18,22 +18,22 @@ from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records.records import Record, Sensor
 from fishmj.log import Trial, stacked
 
-HINGES = (2, 7)  # markers at which tail and fin begin; the ones between are swapped now and then
-SECONDS, STEADY = 20.0, 8.0  # s: length of a swim, and the end of it that is averaged
+HINGES = (2, 7)  # markers at which tail and fin begin; markers in between are sometimes swapped
+SECONDS, STEADY = 20.0, 8.0  # s: length of a swim, and of its averaged end
 STAMPS = np.arange(0.0, SECONDS, 0.02)  # s, of the simulated tank's sensors
-SLOWEST = 0.2  # Hz, below which nothing is a beat
-MATCHING = 3  # rounds in which the commands are adapted until the joints do what the markers did
-WITHIN = 0.15  # of the measured speed
+SLOWEST = 0.2  # Hz, lowest beat frequency
+MATCHING = 3  # iterations that adapt the commands until the joints follow the markers
+WITHIN = 0.15  # largest relative error of a speed
 TERMS = ("linear_surge_drag", "wake_memory")
 FACTORS = np.geomspace(0.1, 4.0, 41)
 AMOUNTS = {"linear_surge_drag": np.linspace(0.0, 0.2, 21), "wake_memory": np.linspace(0.0, 0.3, 11)}  # N s/m; s
-ZOOMS = (0.25, 0.06)  # steps of the finer grids, of the coarse one's
+ZOOMS = (0.25, 0.06)  # steps of the finer grids over those of the coarse one
 CONSTANTS = ("trailing_edge", "added_mass_tail", "form_drag")
 CHOSEN = ("trailing_edge", "linear_surge_drag")
 
 
 class BeatResponse(NamedTuple):
-    """One trial: frequency [Hz], complex amplitude of each joint [rad], mean speed [m/s]."""
+    """Trial: frequency [Hz], complex amplitude of each joint [rad], mean speed [m/s]."""
 
     name: str
     frequency: float
@@ -55,13 +55,13 @@ def beat(name: str, trial: Trial) -> BeatResponse:
     frequency = peak(t, bends[:, 0])
     wave = np.exp(-2j * np.pi * frequency * t)
     track = points[:, :2].mean(1)  # the rigid head
-    # the head sways with the beat, so the slope over all rows is used, not the distance between two of them
+    # the head sways with the beat, so the speed is the slope over all rows
     speed = float(np.hypot(*np.polyfit(t, track, 1)[0]))
     return BeatResponse(name, frequency, 2 * (bends * wave[:, None]).mean(0), speed)
 
 
 def peak(t: np.ndarray, values: np.ndarray) -> float:
-    """Frequency of the sine that explains most, Hz."""
+    """Frequency [Hz] of the sine that explains most."""
     rate = 1.0 / float(np.median(np.diff(t)))
     tried = np.arange(SLOWEST, min(5.0, 0.4 * rate), 0.01)
     window = np.hanning(len(t))
@@ -69,7 +69,7 @@ def peak(t: np.ndarray, values: np.ndarray) -> float:
 
 
 class Tank:
-    """The fish of `robot` beating like the trials, with effects of `catalogue` in the water."""
+    """Simulated swims of `robot` with the beats of the trials and effects of `catalogue` in the water."""
 
     def __init__(self, beats: list[BeatResponse], catalogue=(), robot: str = "tendon_fish"):
         self.beats, self.plant = beats, SwimmingFish(robot, catalogue=catalogue)
@@ -79,7 +79,7 @@ class Tank:
             self.commands = self.commands * np.array([b.joints for b in beats]) / bent
 
     def speeds(self, rows) -> np.ndarray:
-        """(R, L) mean speed of every parameter row in every trial."""
+        """Mean speed (R, L) of every parameter row in every trial."""
         late = STAMPS >= SECONDS - STEADY
         seen = [each["pose"][:, late] for each in self.plant.predict(self.records, np.atleast_2d(rows))]
         slopes = [[np.polyfit(STAMPS[late], track[..., axis].T, 1)[0] for axis in (0, 1)] for track in seen]  # (L, 2, R)
@@ -87,7 +87,7 @@ class Tank:
 
     @property
     def records(self) -> list[Record]:
-        """The swims, as records without measurements."""
+        """Swims as records without measurements."""
         return [self._record(b, c) for b, c in zip(self.beats, self.commands, strict=True)]
 
     def _swim(self, row) -> list[np.ndarray]:
@@ -95,7 +95,7 @@ class Tank:
         return [seen["joint"][0] for seen in self.plant.predict(self.records, row)]
 
     def _bent(self, b: BeatResponse, joints: np.ndarray) -> np.ndarray:
-        """Complex amplitude of the joints over whole beats at the end."""
+        """Complex amplitude of the joints over the last whole beats."""
         last = STAMPS >= SECONDS - round(STEADY * b.frequency) / b.frequency
         return 2 * (joints[last] * np.exp(-2j * np.pi * b.frequency * STAMPS[last])[:, None]).mean(0)
 
@@ -125,7 +125,7 @@ class Tank:
 
 
 class CandidateModel(NamedTuple):
-    """One model. errors: (L,) relative, of each trial predicted from the others; values: (L, 2) factor and amount then."""
+    """Model. errors: (L,) relative, of each trial predicted from the others; values: (L, 2) their factor and amount."""
 
     constant: str
     term: str
@@ -141,7 +141,7 @@ class CandidateModel(NamedTuple):
 
 
 def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") -> CandidateModel:
-    """Predicts each trial from a fit to the others: the best of a grid, then of finer ones about it."""
+    """Predicts each trial from a fit to the others: the best of a grid, then of finer grids around it."""
     grid = np.array([(f, a) for f in FACTORS for a in (AMOUNTS[term] if term else np.zeros(1))])
     speeds = tank.speeds(rows_of(tank, constant, term, grid))
     every = np.ones(len(measured), bool)
@@ -162,7 +162,7 @@ def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") ->
 
 
 def rows_of(tank: Tank, constant: str, term: str, grid: np.ndarray) -> np.ndarray:
-    """(G, P) parameter rows of (factor, amount) pairs."""
+    """Parameter rows (G, P) of (factor, amount) pairs."""
     plant = tank.plant
     rows = np.tile(plant.null, (len(grid), 1))
     rows[:, [c.name for c in plant.constants].index(constant)] = grid[:, 0]
@@ -173,7 +173,7 @@ def rows_of(tank: Tank, constant: str, term: str, grid: np.ndarray) -> np.ndarra
 
 
 def closer(value: np.ndarray, term: str, zoom: float) -> np.ndarray:
-    """A grid about `value`, steps of `zoom` of the coarse one's."""
+    """Grid around `value`, with `zoom` times the steps of the coarse one."""
     steps = zoom * np.arange(-4, 5)
     factors = value[0] * (FACTORS[1] / FACTORS[0]) ** steps
     amounts = np.maximum(value[1] + (AMOUNTS[term][1] * steps if term else 0.0 * steps[:1]), 0.0)
@@ -181,12 +181,12 @@ def closer(value: np.ndarray, term: str, zoom: float) -> np.ndarray:
 
 
 def squares(speeds: np.ndarray, measured: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """(G,) sum over the used trials."""
+    """Sum of squares (G,) over the used trials."""
     return np.sum(np.log(speeds[:, used] / measured[used]) ** 2, 1)
 
 
 def run(say) -> tuple[str, dict]:
-    """Words and figures of the set. The chosen model is also compared with the description's speeds, another average."""
+    """Text and figures of the set. The chosen model is also compared with the speeds of the description, another average."""
     beats = [beat(name, trial) for name, trial in trials("tendon_fish_markers").items()]
     if len(beats) < 2:
         raise LogError(f"tendon_fish: {len(beats)} trial, expected two at least: each is predicted from the others; add trials")
@@ -201,7 +201,7 @@ def run(say) -> tuple[str, dict]:
 
 
 def predicted(beats: list[BeatResponse], say=lambda text: None, choices=None) -> tuple[str, dict]:
-    """Predictions of every model of `choices` (constant, term), left out in turn; the first is the answer."""
+    """Predicts each trial from the others with each model (constant, term) of `choices`; the first model is the answer."""
     tank = Tank(beats, [effects.get(name) for name in TERMS])
     measured = np.array([b.speed for b in beats])
     before = tank.speeds(tank.plant.null)[0]
