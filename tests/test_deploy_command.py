@@ -91,7 +91,7 @@ def test_an_interrupted_swim_says_so_before_its_end(cause, monkeypatch, tmp_path
     said: list[str] = []
     for say in ("say", "warn"):
         monkeypatch.setattr(console, say, lambda *lines: said.extend(lines))
-    ended = SwimOutcome(cause=cause, refused=("no pose",), swum=3.0, figures={})
+    ended = SwimOutcome(cause=cause, refused=("no pose",), swim_seconds=3.0, figures={})
     monkeypatch.setattr(swim_command, "_swum", lambda *_: ended)
     monkeypatch.setattr(interrupt, "asked", lambda: True)
     assert swim_command.main(["--policy", "station", "--out", str(tmp_path / "a")]) == console.INTERRUPTED

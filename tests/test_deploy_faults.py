@@ -27,7 +27,7 @@ def ended(bench, outcome, cause, latest):
 def test_a_swim_without_a_fault_ends_when_its_time_is_over(tmp_path):
     bench = Bench(tmp_path / "swim", seconds=3.0)
     outcome = bench.swim()
-    assert outcome.complete and outcome.swum == pytest.approx(3.0, abs=0.021)
+    assert outcome.complete and outcome.swim_seconds == pytest.approx(3.0, abs=0.021)
     assert [event.after.name for event in bench.events] == ["LINKED", "ARMED", "SWIMMING", "NEUTRAL"]
     trial = ended(bench, outcome, Condition.FINISHED, 3.0)
     assert len(trial.tables["obs"]["t"]) == len(trial.tables["action"]["t"]) == 15
@@ -324,7 +324,7 @@ def test_an_armed_robot_does_not_wait_for_fresh_poses_for_ever(tmp_path):
     bench = Bench(tmp_path / "swim", plan={"wait": 1.0})
     bench.eyes.age = 0.25  # older than 0.2 s, younger than 0.5 s
     outcome = bench.swim()
-    assert outcome.swum == 0.0 and not outcome.complete
+    assert outcome.swim_seconds == 0.0 and not outcome.complete
     assert bench.robot.state is RobotState.IDLE and bench.clock.now() < 103.0
 
 

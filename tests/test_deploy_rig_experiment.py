@@ -131,7 +131,7 @@ def test_a_jammed_joint_ends_an_experiment_and_a_healthy_one_does_not(tmp_path, 
         meta = open_loop_experiment.meta_of(rig.robot, None, True)
         ends.append(open_loop_experiment.play(rig, run, tmp_path / f"{len(ends)}", meta)[0])
     assert ends[0].complete
-    assert ends[1].cause & Condition.SERVO_STUCK and ends[1].swum < 0.7 * run.what.seconds
+    assert ends[1].cause & Condition.SERVO_STUCK and ends[1].swim_seconds < 0.7 * run.what.seconds
 
 
 def test_a_run_ends_before_the_wall_that_was_named(tmp_path):

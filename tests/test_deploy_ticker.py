@@ -55,7 +55,7 @@ def test_the_histogram_gives_the_percentiles_of_lateness():
     ticker, _ = beats(late, 2000)
     for share in (0.5, 0.99):
         assert ticker.lateness(share) == pytest.approx(np.quantile(late, share), abs=1e-4)
-    told = ticker.told()
+    told = ticker.figures()
     assert told["ticks"] == 2000 and told["worst_ms"] == pytest.approx(1e3 * late.max(), abs=1e-3)
     assert told["late"] == np.sum(late > 2e-3)
 

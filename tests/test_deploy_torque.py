@@ -58,7 +58,7 @@ def test_a_robot_that_cannot_say_or_cannot_let_go_has_words_for_it(tmp_path):
     outcome = bench.swim()
     assert outcome.released is None and "cannot confirm" in outcome.words
     assert "letting go" in MishLink(None).lacks
-    outcome = SwimOutcome(cause=Condition.FINISHED, refused=(), swum=1.0, figures={}, released=None, lets_go=False)
+    outcome = SwimOutcome(cause=Condition.FINISHED, refused=(), swim_seconds=1.0, figures={}, released=None, lets_go=False)
     assert outcome.words.endswith("keeps its torque: use the switch")
 
 

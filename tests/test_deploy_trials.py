@@ -33,7 +33,7 @@ from tests.test_deploy_flow_map import MAP
 
 ROOT = Path(__file__).resolve().parent.parent
 ROBOT = load_robot("fish")
-SWUM = SwimOutcome(cause=Condition.FINISHED, refused=(), swum=60.0, figures={}, released=True)
+SWUM = SwimOutcome(cause=Condition.FINISHED, refused=(), swim_seconds=60.0, figures={}, released=True)
 
 
 # ------------------------------------------------------------------------------------------------------------------- plan
@@ -65,8 +65,10 @@ def test_the_pump_and_the_direction_come_from_the_flow_map():
 
 def test_what_ends_a_swim_decides_whether_it_is_a_trial():
     made = lambda **change: SwimOutcome(**{**vars(SWUM), **change})
-    assert counts(SWUM) and counts(made(cause=Condition.LEFT_TANK, swum=12.0))
-    assert not counts(made(cause=Condition.LINK_SILENT, swum=12.0)) and not counts(made(cause=NONE, refused=("no",), swum=0.0))
+    assert counts(SWUM) and counts(made(cause=Condition.LEFT_TANK, swim_seconds=12.0))
+    assert not counts(made(cause=Condition.LINK_SILENT, swim_seconds=12.0)) and not counts(
+        made(cause=NONE, refused=("no",), swim_seconds=0.0)
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------------- logs
@@ -302,8 +304,8 @@ def test_a_person_is_led_through_and_the_same_command_goes_on_the_next_day(tmp_p
 
 
 def test_swim_ended_by_a_fault_cannot_be_accepted_but_left_tank_can(tmp_path, monkeypatch):
-    silent = SwimOutcome(**{**vars(SWUM), "cause": Condition.LINK_SILENT, "swum": 5.0})
-    left = SwimOutcome(**{**vars(SWUM), "cause": Condition.LEFT_TANK, "swum": 5.0})
+    silent = SwimOutcome(**{**vars(SWUM), "cause": Condition.LINK_SILENT, "swim_seconds": 5.0})
+    left = SwimOutcome(**{**vars(SWUM), "cause": Condition.LEFT_TANK, "swim_seconds": 5.0})
     # pump, place, Enter (repeats); place, Enter (accepts); then q
     names, known, _ = walked(tmp_path, monkeypatch, ["", "", "", "", "", "q"], [silent, left])
     assert names == ["u0.1_los000_r0"] * 2 and known["skipped"] == {}

@@ -142,7 +142,7 @@ def test_no_share_is_claimed_beside_a_gap_that_grows():
 )
 def test_wherever_the_gap_was_measured_it_has_to_shrink(more):
     v = replace(SHRUNK, **more)
-    assert SHRUNK.shrinks and not v.shrinks and "98" not in v.told()
+    assert SHRUNK.shrinks and not v.shrinks and "98" not in v.success_text()
     assert "98" not in sections.meaning(material(replace(v, answer="NAMED"))) + sections.meaning(
         material(replace(v, answer="CLASS"))
     )

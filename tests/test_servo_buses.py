@@ -341,8 +341,8 @@ def test_servos_answer_on_a_pseudo_terminal(two):
     server = LoopbackServer(ServeOptions(settings=settings, camera=False), lambda: clock[0])
     bus = BUSES["dynamixel-x"]
     try:
-        assert server.told()["robot_port"] is None
-        host = os.open(server.told()["device"], os.O_RDWR | os.O_NOCTTY)
+        assert server.connection()["robot_port"] is None
+        host = os.open(server.connection()["device"], os.O_RDWR | os.O_NOCTTY)
         os.write(host, bus.ask("state", (1, 2)))
         reader, found = bus.reader(), []
         for _ in range(1000):  # the system hands bytes on in its own time

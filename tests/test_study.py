@@ -234,7 +234,7 @@ TABLES = [
     ("huge", ["t,v", *ROWS[:5], "2.6,1e9", *ROWS[6:]], "is the unit in [columns] right?"),
     ("unit row", ["t,v", "s,cm/s", *ROWS], "is in cm/s, and [columns] speed says m/s"),
     ("short", ["t,v", *ROWS[:3]], "rows"),
-    ("still", ["t,v", *(f"{0.5 * k},0.001" for k in range(30))], "motion ahead ahead"),
+    ("still", ["t,v", *(f"{0.5 * k},0.001" for k in range(30))], "motion ahead"),
     ("empty", [], "empty"),
     ("no rows", ["t,v"], "no rows"),
     ("long", ["t,v", *(f"{500 * k},{2 / (1 + 0.1 * k):.3f}" for k in range(30))], "is the unit of t right?"),

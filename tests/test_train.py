@@ -213,7 +213,7 @@ def test_own_code_of_a_run_is_named_again_on_the_command_line(tmp_path, capsys):
 def test_a_training_of_one_iteration_shows_its_rate_at_its_end():
     now, out = [0.0], io.StringIO()
     bar = console.Progress(8000, "train", "steps", stream=out, clock=lambda: now[0])
-    bar.begun = 4000  # of the run that goes on
+    bar.done_before = 4000  # of the run that goes on
     bar.stage("compiling the first iteration")
     now[0] = 4.0
     bar.update(8000)

@@ -10,7 +10,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.control.policy import Policy
 from fishmj.mjcf.reading import load_robot
 from fishmj.train.__main__ import main
-from fishmj.train.begin import SIGMA, begin_with, begun
+from fishmj.train.begin import SIGMA, begin_with, start_from_policy
 from fishmj.train.settings import change, preset
 from fishmj.train.training_run import TrainingRun, learner_of
 
@@ -78,4 +78,4 @@ def test_the_first_policy_of_such_a_run_is_the_one_that_it_began_with(tmp_path):
         np.array_equal(a, b) for x, y in zip(swims.weights, policy.weights, strict=True) for a, b in zip(x, y, strict=True)
     )
     with pytest.raises(ConfigError, match="the policy's layers are"):
-        begun(run.training._replace(actor=run.training.actor[:1]), policy, made, run.env)
+        start_from_policy(run.training._replace(actor=run.training.actor[:1]), policy, made, run.env)

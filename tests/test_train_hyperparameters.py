@@ -28,7 +28,7 @@ from fishmj.train.hyperparameters import PPOConfig, SACConfig, declared
 from fishmj.train.learner import PolicyLayers, episode_metrics, record_of, reported
 from fishmj.train.networks import ACTIVATIONS, mlp
 from fishmj.train.planned_runs import PlannedRun
-from fishmj.train.settings import ALGORITHMS, as_dict, change, from_dict, hyperparameters, of_run, preset, told
+from fishmj.train.settings import ALGORITHMS, as_dict, change, from_dict, hyperparameters, of_run, option_text, preset
 from fishmj.train.training_run import export, programs, write_settings
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "train" / "training.md"
@@ -54,9 +54,9 @@ def test_table_of_the_docs_is_the_code_s():
         values = one.kind.expected.removeprefix("a ").replace("1 to 10 values, each a ", "1 to 10, each a ")
         own: dict[str, list[str]] = {}
         for algo in one.defaults.keys() - {"sb3-ppo", "sb3-sac"}:  # have PPO's and SAC's
-            own.setdefault(told(one.defaults[algo], one.kind), []).append(algo)
+            own.setdefault(option_text(one.defaults[algo], one.kind), []).append(algo)
         default = "; ".join(sorted(f"{', '.join(sorted(names))} {value}" for value, names in own.items()))
-        presets = "; ".join(f"{key} {told(value, one.kind)}" for key, value in one.presets.items()) or "-"
+        presets = "; ".join(f"{key} {option_text(value, one.kind)}" for key, value in one.presets.items()) or "-"
         lines.append(f"| `{one.option}` | {one.about.replace('|', chr(92) + '|')} | {values} | {default} | {presets} |")
     assert "\n".join(lines) in PAGE.read_text(encoding="utf-8"), "the page should have\n" + "\n".join(lines)
 

@@ -121,7 +121,7 @@ def _called(main: Main, argv: list[str]) -> int:
         if message := _of_the_machine(error):
             return _fail(argv, message, type(error).__name__, BAD_INPUT)
         traceback.print_exc()
-        return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT, told=True)
+        return _fail(argv, f"this is a fault in fishmj, please report it: {error}", type(error).__name__, FAULT, printed=True)
 
 
 def _speak_any_text() -> None:
@@ -164,10 +164,10 @@ def _interrupted(argv: Sequence[str], message: str) -> None:
 
 
 def _fail(
-    argv: Sequence[str], message: str, kind: str, code: int, *, told: bool = False, many: DescriptionError | None = None
+    argv: Sequence[str], message: str, kind: str, code: int, *, printed: bool = False, many: DescriptionError | None = None
 ) -> int:
     """Prints the error on stderr (one line; for a bad description one line for each error), and as JSON if that was asked for."""
-    if os.environ.get(TRACEBACK) == "1" and not told and sys.exc_info()[0] is not None:
+    if os.environ.get(TRACEBACK) == "1" and not printed and sys.exc_info()[0] is not None:
         traceback.print_exc()
     message = _one_line(message)
     for line in map(_one_line, many.shown) if many else (message,):

@@ -40,7 +40,7 @@ class Progress:
         self._live = bool(getattr(self._stream, "isatty", lambda: False)())
         self._every = every if every is not None else 0.2 if self._live else 15.0  # s between two lines
         self._clock, self._start = clock, clock()
-        self.begun = 0.0  # done before, and no part of the rate
+        self.done_before = 0.0  # by earlier runs, not part of the rate
         self.ahead = 0.0  # s of other work to come, which the rate does not count
         self._most = 0.0  # the greatest that was reported
         self._shown = -math.inf
@@ -125,7 +125,7 @@ class Progress:
         """Text of the current progress line."""
         done = self._seen[-1][1]
         part = min(done / self.total, 1.0) if self.total else 1.0
-        rate = self.rate or ((done - self.begun) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short to tell
+        rate = self.rate or ((done - self.done_before) / self.elapsed if part == 1 and self.elapsed > 0 else 0.0)  # too short
         left = math.inf if self._starting else self.left
         bound = "at most " if self._at_most and math.isfinite(left) else ""
         ahead = f"{bound}{duration(left)} left" if part < 1 else f"took {duration(self.elapsed)}"

@@ -121,16 +121,16 @@ class PrivilegedMpc(SamplingMpc):
     def reset(self, n: int) -> None:
         """Starts n fish; call `set_flow` before the first step."""
         super().reset(n)
-        self.told: np.ndarray | None = None
+        self.true_flow: np.ndarray | None = None
 
     def set_flow(self, flow) -> None:
         """Sets the true flow (B, 2) m/s at the fish now, in its body axes; call it before every step."""
-        self.told = np.asarray(flow, float)
+        self.true_flow = np.asarray(flow, float)
 
     def _observe(self, fix: StateEstimate) -> None:
-        if self.told is None:
+        if self.true_flow is None:
             raise ConfigError(f"controller {self.name}: needs `set_flow` before every step; fishmj evaluate and play do it")
-        self.flow, self.told = turned(self.told, fix.head), None
+        self.flow, self.true_flow = turned(self.true_flow, fix.head), None
         super()._observe(fix)
 
 

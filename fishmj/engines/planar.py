@@ -13,7 +13,7 @@ from jax import lax
 
 from fishmj.engines import Copied, FishParams, FishState, Trace, check_commands, swimmer, ticks_per
 from fishmj.engines.extensions import Extensions, stacked
-from fishmj.engines.planar_columns import begun, columns, pairs
+from fishmj.engines.planar_columns import columns, initial_carry, pairs
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 from fishmj.mjcf.servos import on_the_bus, targets_of_tick
@@ -89,12 +89,12 @@ class PlanarEngine(Copied):
         """
         step = partial(self.step, self.added, swimmer(params), columns(params.effects), pairs(flow), columns(ambient))
         # steps use columns, one array for each component; they are converted to rows once a tick
-        carry, _ = lax.scan(lambda carry, target: (step(carry, columns(target)), None), begun(state), targets, unroll=self.unroll)
+        carry, _ = lax.scan(lambda c, target: (step(c, columns(target)), None), initial_carry(state), targets, unroll=self.unroll)
         q, v, attached, memory, power = carry
         return FishState(jnp.stack(q, -1), jnp.stack(v, -1), attached, (), stacked(jnp, memory, state.memory)), power
 
     def step(self, added: Extensions, sw: planar_chain.Swimmer, effects, flow, ambient, carry, target):
-        """Does one physics step in columns; carry: as from `begun`."""
+        """Does one physics step in columns; carry: as from `initial_carry`."""
         q, v, attached, memory, power = carry
         s = planar_chain.step(jnp, self.chain, sw, q, v, attached, target, flow, ambient, added.hooks(jnp, effects, memory))
         like = zip(s.memory, memory, strict=True)

@@ -15,7 +15,7 @@ def pairs(flow) -> list:
     return [(flow[:, i, 0], flow[:, i, 1]) for i in range(flow.shape[1])]
 
 
-def begun(state: FishState) -> tuple:
+def initial_carry(state: FishState) -> tuple:
     """Initial carry of the physics steps, in columns: q, v, attachment, memory, power so far."""
     attached = state.attached[...]
     return columns(state.q), columns(state.v), attached, columns(state.memory), jnp.zeros_like(attached)

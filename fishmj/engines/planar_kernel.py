@@ -22,7 +22,7 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
 from fishmj.engines import FishState, swimmer
-from fishmj.engines.planar_columns import begun, columns, pairs
+from fishmj.engines.planar_columns import columns, initial_carry, pairs
 from fishmj.water import residual_kernel, residual_network
 from fishmj.water.residual_hooks import Residual
 
@@ -73,7 +73,7 @@ def physics(engine, state, params, targets, flow, ambient, *, interpret: bool = 
 
         _, steps, joints = targets.shape
         commands = [[targets[:, k, j] for j in range(joints)] for k in range(steps)]
-        carry, _ = lax.fori_loop(0, steps, step, (begun(state), commands))
+        carry, _ = lax.fori_loop(0, steps, step, (initial_carry(state), commands))
         triton.store(
             out, _joined(jax.tree.leaves(carry)), mask=None if mine is None else jnp.broadcast_to(mine[:, None], out.shape)
         )

@@ -114,7 +114,7 @@ class Verdict:
         steps = [s | {"taken": s["accepted"], "accepted": s["accepted"] and lowers(s.get("over_floor"))} for s in self.steps]
         return asdict(self) | {"steps": steps, "gap_after": before if after is None else after}
 
-    def told(self) -> str:
+    def success_text(self) -> str:
         """Success of the found effects in words: the explained share and its reference; no share if the gap does not shrink."""
         if not self.shrinks:
             return LIKELIER if self.searched else "does not lower the gap"
@@ -154,7 +154,7 @@ class Verdict:
         if self.taken:
             lines += [f"  {P_BEST}"] * bool(self.rivals)
             lines += [f"  counted in, not named: {sizes(n.name, n.parameters)}" for n in self.tentative]
-            lines.append(f"  {self.told()}")
+            lines.append(f"  {self.success_text()}")
         for t in self.terms[:3]:
             also = f"; or {t['alike'][0]}" if t["alike"] else ""
             share = f"removes {percent(t['closure'])} of the excess |z|^2 on the records that it was fitted to"

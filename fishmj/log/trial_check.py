@@ -155,7 +155,7 @@ class Implausible(LogError):
         (self.verb, self.si), self.bound = _BOUNDS[bound], f"{bound}_least" if abs(value) < low else bound
 
     @property
-    def told(self) -> str:
+    def value_and_range(self) -> str:
         """Found value and plausible range in words, without advice."""
         low, high = self.span
         allowed = f"{low:g} to {high:.4g}" if low else f"at most {high:.4g}"

@@ -145,16 +145,16 @@ def options() -> console.Parser:
 
 def hyperparameter_options(parser: console.Parser) -> None:
     """Adds an option for every hyperparameter that an algorithm declares."""
-    from fishmj.train.settings import hyperparameters, told
+    from fishmj.train.settings import hyperparameters, option_text
 
     about = "of the algorithm; options of other algorithms are refused. Default: the preset's value, else the algorithm's"
     group = parser.add_argument_group("hyperparameters", about)
     for name, one in hyperparameters().items():
         algos: dict[str, list[str]] = {}
         for algo, value in one.defaults.items():
-            algos.setdefault(told(value, one.kind), []).append(algo)
+            algos.setdefault(option_text(value, one.kind), []).append(algo)
         default = "; ".join(f"{', '.join(names)} {value}" for value, names in algos.items())
-        own = "".join(f"; preset {preset} {told(value, one.kind)}" for preset, value in one.presets.items())
+        own = "".join(f"; preset {preset} {option_text(value, one.kind)}" for preset, value in one.presets.items())
         shape = "N,.." if isinstance(one.kind, console.Listed) else "N" if isinstance(one.kind, console.Number) else "NAME"
         group.add_argument(one.option, dest=name, type=one.kind, metavar=shape, help=f"{one.about} (default: {default}{own})")
 

@@ -65,7 +65,7 @@ def begin_with(source: str, settings: Settings, asked: Mapping[str, Any]) -> tup
     return policy, made
 
 
-def begun(training, policy: Policy, settings: Settings, env):
+def start_from_policy(training, policy: Policy, settings: Settings, env):
     """Fresh train state with the policy's actor and a critic pretrained on its returns. env: environment of the training."""
     layers = [(jnp.asarray(w.T, jnp.float32), jnp.asarray(b, jnp.float32)) for w, b in policy.weights]
     shapes = lambda actor: [(w.shape, b.shape) for w, b in actor]

@@ -41,7 +41,7 @@ class PlannedRun(NamedTuple):
         return f"{self.point} seed {self.settings.seed}".lstrip()
 
     @property
-    def begun(self) -> bool:
+    def has_checkpoint(self) -> bool:
         """True if the run has a checkpoint."""
         return bool(Checkpoints(self.folder / "checkpoints").paths())
 
@@ -99,7 +99,7 @@ def train_run(run: PlannedRun, command: str, learner: Any = None, *, devices: in
     Args:
         learner: from `learner_of`; made here by default. resume: refuse a run without a checkpoint.
     """
-    resume = resume or run.begun
+    resume = resume or run.has_checkpoint
     if train := run.settings.algo in ALGORITHMS and ALGORITHMS[run.settings.algo].train:
         return referred(train)(run.settings, run.folder, resume=resume, command=command, quiet=quiet)
     from fishmj.train.training_run import TrainingRun, learner_of
@@ -196,7 +196,7 @@ def resumed(argv: Sequence[str]) -> str:
 
 def kept_words(runs: Sequence[PlannedRun], argv: Sequence[str]) -> str:
     """Text of an interrupt outside training, such as during compilation: what is saved, and how to continue."""
-    if kept := [run.folder for run in runs if run.begun]:
+    if kept := [run.folder for run in runs if run.has_checkpoint]:
         return f"{', '.join(map(str, kept))} hold{'' if kept[1:] else 's'} checkpoints; go on with: {resumed(argv)}"
     return f"nothing is saved yet; {interrupt.again('go on' if '--resume' in argv else 'start again')}"
 

@@ -52,7 +52,7 @@ def referred(text: str) -> Any:
     return getattr(import_module(module), name)
 
 
-def told(value: Any, kind: Any) -> str:
+def option_text(value: Any, kind: Any) -> str:
     """Text of a hyperparameter's value, as its option takes it."""
     if isinstance(value, bool):
         return kind.known[value]

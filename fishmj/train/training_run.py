@@ -31,7 +31,7 @@ from fishmj.mjcf.identity import constants_sha256, structure_of
 from fishmj.tasks.env import StationHold
 from fishmj.tasks.station_hold import control_steps
 from fishmj.train import training_cost
-from fishmj.train.begin import begun
+from fishmj.train.begin import start_from_policy
 from fishmj.train.build import algorithm, environment, pick_engine, policy_of, robot_for, settled
 from fishmj.train.learner import PolicyLayers, reported, warn_of_rounding
 from fishmj.train.settings import ALGORITHMS, FILE, MADE_BY, Settings, as_dict, from_dict, own_code, same
@@ -239,11 +239,11 @@ class TrainingRun:
         elif self.checkpoints.paths():
             raise ConfigError(f"{self.folder} already holds a run; add --resume to go on, or choose another --out")
         elif begin is not None:
-            self.training = begun(self.training, begin, settings, self.env)
+            self.training = start_from_policy(self.training, begin, settings, self.env)
             self.assessed = -1  # the starting policy is assessed too, and may remain the best
         if self.devices > 1:
             self.training = self.algorithm.place(self.training)
-        self.bar.begun = self.done
+        self.bar.done_before = self.done
         write_settings(self.settings, self.folder)
 
     def go(self) -> dict:

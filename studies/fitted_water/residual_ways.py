@@ -58,7 +58,7 @@ def chosen(settings: dict[str, Any]) -> Iterator[None]:
 def timed(name: str, learnt: bool, fish: int, unroll: int, rounds: int) -> dict:
     """Rate and seconds of the first run of one engine."""
     start = time.perf_counter()
-    work = surrogate_speed.swum(name, False, learnt, fish, unroll=unroll)
+    work = surrogate_speed.swim_work(name, False, learnt, fish, unroll=unroll)
     first = time.perf_counter() - start
     rates = []
     for _ in range(rounds):

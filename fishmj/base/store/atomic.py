@@ -116,15 +116,15 @@ def same_as_begun(path: Path, options: dict) -> None:
     write_json(path, options)
 
 
-def differing(mine: dict, theirs: Any, told: str, free: Sequence[str] = ()) -> str:
+def differing(mine: dict, theirs: Any, form: str, free: Sequence[str] = ()) -> str:
     """Text of the first three values that differ between two nested tables, and how many more; "" if none does.
 
-    told: form of one, with {key}, {mine} and {theirs}. free: names that may differ.
+    form: format of one, with {key}, {mine} and {theirs}. free: names that may differ.
     """
     a, b = dict(leaves(mine)), dict(leaves(theirs))
     other = [key for key in {**b, **a} if a.get(key) != b.get(key) and key not in free]
     shown = lambda value: "not set" if value is None else f"{value!s:.40}"
-    each = [told.format(key=key, mine=shown(a.get(key)), theirs=shown(b.get(key))) for key in other[:3]]
+    each = [form.format(key=key, mine=shown(a.get(key)), theirs=shown(b.get(key))) for key in other[:3]]
     return "; ".join(each) + (f" and {len(other) - 3} more" if len(other) > 3 else "")
 
 

@@ -96,7 +96,7 @@ def ticks(seconds: float) -> dict[str, float]:
         ticker = Ticker(MonotonicClock(), 0.02)
         while ticker.count < seconds * 50:
             ticker.wait()
-    return ticker.told() | {"first_in_line": first}
+    return ticker.figures() | {"first_in_line": first}
 
 
 def _tried(look) -> list[str] | str:

@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
     if args.out:
         console.say(f"wrote {found.write(args.out)}")
     if args.json:
-        console.emit_json({"out": args.out, "unit": unit, "settings": [told(s) for s in settings]})
+        console.emit_json({"out": args.out, "unit": unit, "settings": [setting_json(s) for s in settings]})
     short = [s for s in settings if s.length is None and s.method == "probe"]
     return console.CANNOT_TELL if short else console.OK
 
@@ -131,7 +131,7 @@ def shown(found: ValueInterval | None, digits: int, factor: float = 1.0) -> str:
     return f"{value} ({low} {high})" if np.isfinite(found.low) else value
 
 
-def told(s: Setting) -> dict:
+def setting_json(s: Setting) -> dict:
     """A setting as JSON."""
     spread = lambda found: None if found is None else found._asdict()
     return {**s._asdict(), **{name: spread(getattr(s, name)) for name in ("speed", "intensity", "length")}}

@@ -110,7 +110,7 @@ def main(argv: list[str], wire: Callable[..., wiring.Wired] | None = None) -> in
         result: dict[str, Any] = {
             "complete": outcome.complete,
             "torque_off": outcome.released,
-            "swum_s": round(outcome.swum, 3),
+            "swum_s": round(outcome.swim_seconds, 3),
             "ended_by": outcome.words,
             "out": out,
         }

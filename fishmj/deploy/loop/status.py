@@ -20,15 +20,15 @@ class StatusLine:
         self._most = 0.999 * seconds  # a bar that is full would print at every tick of the way home
 
     def show(
-        self, swum: float, now: float, decision: Decision, observer: ObservationBuilder, watch: ConditionWatch, ticker: Ticker
+        self, seconds: float, now: float, decision: Decision, observer: ObservationBuilder, watch: ConditionWatch, ticker: Ticker
     ) -> None:
-        """Reports the state at `now`, `swum` s into the swim; prints only when a line is due."""
+        """Reports the state at `now`, `seconds` into the swim; prints only when a line is due."""
         if self._bar is None:
             return
         fields: dict[str, object] = {"state": decision.state.name}
         if decision.because:
             fields["because"] = named(decision.because)
-        if swum <= 0.0 and decision.state in WAITING:
+        if seconds <= 0.0 and decision.state in WAITING:
             self._wait(f"waiting for robot and camera, {decision.state.name}", named(decision.because & ~Condition.HEARD), now)
             return
         if (pose := observer.pose) is not None:
@@ -38,7 +38,7 @@ class StatusLine:
         if watch.newest is not None and (volts := supply(watch.newest)) is not None:
             fields["battery"] = f"{volts:.2f} V"
         try:
-            self._bar.update(min(swum, self._most), **fields, late=ticker.late, dropped=ticker.dropped)
+            self._bar.update(min(seconds, self._most), **fields, late=ticker.late, dropped=ticker.dropped)
         except OSError:  # the terminal is gone: nobody looks, and the swim comes to its own end
             self._bar = None
 

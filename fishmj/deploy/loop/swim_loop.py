@@ -83,7 +83,7 @@ class SwimOutcome:
     Attributes:
         cause: conditions that led to NEUTRAL; NONE if it never was armed. refused: reasons against arming, permanent or
             momentary.
-        swum: s under the policy. figures: counts and times for the log and for people.
+        swim_seconds: time under the policy, s. figures: counts and times for the log and for people.
         released: True if the robot reported its torque off; None if its protocol cannot, or it never was armed.
         lets_go: True if the protocol can switch the torque off. camera: reason for the end of the poses, "" while they came.
         faulty: servos with a fault at the end, and the voltage of a low battery; "" for none.
@@ -91,7 +91,7 @@ class SwimOutcome:
 
     cause: Condition
     refused: tuple[str, ...]
-    swum: float
+    swim_seconds: float
     figures: dict
     released: bool | None = None
     lets_go: bool = True
@@ -101,14 +101,14 @@ class SwimOutcome:
     @property
     def complete(self) -> bool:
         """Returns True if the swim ended only because its time was over."""
-        return self.cause == Condition.FINISHED and self.swum > 0.0
+        return self.cause == Condition.FINISHED and self.swim_seconds > 0.0
 
     @property
     def words(self) -> str:
         """One line for people."""
         if self.cause:
             faulty = f" ({self.faulty})" if self.faulty else ""
-            return f"swam {self.swum:.1f} s; ended by {named(self.cause)}{faulty}{self._blind}{self._torque}"
+            return f"swam {self.swim_seconds:.1f} s; ended by {named(self.cause)}{faulty}{self._blind}{self._torque}"
         return f"not armed: {'; '.join(self.refused) or 'stopped'}{self._blind}"
 
     @property
@@ -154,7 +154,7 @@ class SwimLoop:
         self.latencies: list[float] = []
         self.began: float | None = None  # of SWIMMING
         self.home: float | None = None  # of NEUTRAL
-        self.swum, self.letting_go, self.over = 0.0, 0, False
+        self.swim_seconds, self.letting_go, self.over = 0.0, 0, False
         self._let_go_at: float | None = None
         self._asked_arm = self._stopped = False
         self._unguarded: tuple[str, ...] = ()
@@ -179,7 +179,7 @@ class SwimLoop:
                 decision = self.decide(tick.began)
                 self.command(tick, decision)
                 self.write(tick.began)
-                self.status.show(self.swum, tick.began, decision, self.observer, self.watch, ticker)
+                self.status.show(self.swim_seconds, tick.began, decision, self.observer, self.watch, ticker)
         except BaseException:
             self._let_go_blindly()
             raise
@@ -311,7 +311,7 @@ class SwimLoop:
             self.began = now
         if after is SwimState.NEUTRAL:
             self.home, self._faulty = now, self._at_fault(self.supervisor.cause)
-            self.swum = now - self.began if self.began is not None else 0.0
+            self.swim_seconds = now - self.began if self.began is not None else 0.0
         self.log.event(self.supervisor.events[-1])
 
     def _wait_or_end(self, now: float, true: Condition) -> None:
@@ -403,12 +403,12 @@ class SwimLoop:
     def write(self, now: float) -> None:
         """Updates the figures for the status line and the log."""
         if self.began is not None and self.home is None:
-            self.swum = now - self.began
+            self.swim_seconds = now - self.began
 
     def _outcome(self, ticker: Ticker, share: float) -> SwimOutcome:
         late = np.array(self.latencies or [np.nan]) * 1e3
         figures = {
-            "loop": ticker.told(),
+            "loop": ticker.figures(),
             "cpu_share": round(share, 4),
             "camera_to_command_ms": {"p50": round(float(np.median(late)), 2), "p99": round(float(np.percentile(late, 99)), 2)},
             "link": dict(self.rig.link.counts),
@@ -425,6 +425,6 @@ class SwimLoop:
             figures["released"] = "not known" if released is None else released
         self.log.meta["host"] = {**self.log.meta.get("host", {}), **figures}
         return SwimOutcome(
-            cause=self.supervisor.cause, refused=refused, swum=self.swum, figures=figures, released=released, lets_go=lets_go,
-            camera=str(getattr(self.rig.localiser, "failed", None) or ""), faulty=self._faulty,
+            cause=self.supervisor.cause, refused=refused, swim_seconds=self.swim_seconds, figures=figures, released=released,
+            lets_go=lets_go, camera=str(getattr(self.rig.localiser, "failed", None) or ""), faulty=self._faulty,
         )  # fmt: skip

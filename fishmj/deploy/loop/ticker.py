@@ -69,7 +69,7 @@ class Ticker:
         at = int(np.searchsorted(np.cumsum(self.histogram), share * self.count))
         return min((at + 1) * BIN, self.worst) if at < BINS else self.worst
 
-    def told(self) -> dict[str, float]:
+    def figures(self) -> dict[str, float]:
         """Figures for logs: ticks, late, dropped, and the lateness in ms of the median tick, of 99 %, and of the latest."""
         ms = {"p50_ms": self.lateness(0.5), "p99_ms": self.lateness(0.99), "worst_ms": self.worst}
         counts = {"ticks": self.count, "late": int(self.late), "dropped": self.dropped}

@@ -93,7 +93,7 @@ class UdpPort:
         port = (mish.ROBOT_PORT if is_mish else 0) if options.port is None else options.port
         return cls(port, (mish.HOST_PORT if is_mish else 0) if options.host_port is None else options.host_port)
 
-    def told(self) -> dict:
+    def connection(self) -> dict:
         """Ports for the host."""
         return {"robot_port": self.port, "host_port": self._host_port}
 
@@ -138,7 +138,7 @@ class SerialPort:
         os.set_blocking(self._master, False)
         self.device = os.ttyname(self._slave)
 
-    def told(self) -> dict:
+    def connection(self) -> dict:
         """Device for the host."""
         return {"device": self.device}
 
@@ -207,11 +207,11 @@ class LoopbackServer:
         make_robot(replace(settings, faults=())).advance(0.1)
         return make_robot(settings)
 
-    def told(self) -> dict:
+    def connection(self) -> dict:
         """Connection data for a host."""
         size = list(calibration_of(self.options.settings).size) if self.ring else None
         return {
-            **dict.fromkeys(("robot_port", "host_port", "device")), **self.line.told(),
+            **dict.fromkeys(("robot_port", "host_port", "device")), **self.line.connection(),
             "protocol": self.options.settings.protocol, "frames": self.ring.name if self.ring else None, "size": size,
             "frame_rate": self.options.settings.frame_rate, "pid": os.getpid(),
         }  # fmt: skip
@@ -320,7 +320,7 @@ def serve(options: ServeOptions) -> dict[str, float]:
     sys.setswitchinterval(SWITCH)
     try:
         with interrupt.raising(), interrupt.finishing(lambda: ""), first_in_line(CLOCK):
-            console.emit_json(server.told())
+            console.emit_json(server.connection())
             server.run(interrupt.asked)
     except KeyboardInterrupt:
         pass  # the usual way to end it

@@ -152,7 +152,7 @@ class Session:
 
 def counts(outcome: SwimOutcome) -> bool:
     """Returns True if a swim counts as a trial: complete, or ended because the fish left its area, which counts as a failure."""
-    return outcome.complete or (outcome.swum > 0.0 and bool(outcome.cause & Condition.LEFT_TANK))
+    return outcome.complete or (outcome.swim_seconds > 0.0 and bool(outcome.cause & Condition.LEFT_TANK))
 
 
 def cut(trial: Trial, name: str, seconds: float) -> Trial:

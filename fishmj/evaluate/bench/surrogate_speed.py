@@ -24,7 +24,7 @@ def coupled_tank(quick: bool) -> BenchmarkWork:
     return oracle._resting(domain, device, ticks, 1, domain.dt)
 
 
-def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **options) -> BenchmarkWork:
+def swim_work(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **options) -> BenchmarkWork:
     """Swims `fish` fish for `CHUNKS` control steps by an engine with these options, in the shipped water."""
     import jax
     from jax import lax
@@ -60,7 +60,7 @@ def swum(name: str, quick: bool, learnt: bool = False, fish: int = FISH, **optio
     return finite_work(lambda: np.asarray(swim(state, params, current, beat)), name, seconds, device.device_kind)
 
 
-UNIT, planar = "simulated s/s", partial(swum, "planar")
+UNIT, planar = "simulated s/s", partial(swim_work, "planar")
 add("surrogate_strips", UNIT, "Closed form in JAX, strips alone, a full batch.", planar, coupled_tank)
 add("surrogate", UNIT, "Closed form in JAX with a learnt residual, a full batch.", partial(planar, learnt=True), coupled_tank)
 
@@ -70,4 +70,4 @@ def surrogate_mjx(quick: bool) -> BenchmarkWork:
     """MuJoCo in JAX, strips alone; not with --quick."""
     if quick:
         raise NotHere("compiling MJX takes half a minute of CPU; run it without --quick")
-    return swum("mjx", quick, fish=FISH_MJX)
+    return swim_work("mjx", quick, fish=FISH_MJX)

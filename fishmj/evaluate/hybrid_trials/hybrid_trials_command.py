@@ -111,7 +111,7 @@ def main(argv: list[str]) -> int:
     with interrupt.keeping(lambda: f"{args.out} holds what is finished; {interrupt.again()}"):
         for one in conditions:
             found.append(kept(one, trials, args, found[0] if found else None))
-            told(found[-1])
+            print_condition(found[-1])
     if args.json:
         console.emit_json({"ok": all(f["ok"] for f in found), "conditions": found})
     return console.OK if all(f["ok"] for f in found) else console.FAILED_CHECK
@@ -301,7 +301,7 @@ def judged(row: dict, right: dict | None) -> dict:
     return {**row, "ok": ok, "first_kind": off, "no_worse": no_worse, "off": rows}
 
 
-def told(row: dict) -> None:
+def print_condition(row: dict) -> None:
     """Prints the table of a condition."""
     between = lambda d: f"{d['value']:+.4f} " + (d["why"] or f"({d['low']:+.4f} {d['high']:+.4f})")
     lines = []

@@ -63,7 +63,7 @@ def calibrate_robot(family: str, seed: int, robot: Robot) -> CalibratedRobot:
 
     Raises LogError: the swims contain no information; SimDiverged: the robot left the finite numbers.
     """
-    return read_or_calibrate(kept_at(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
+    return read_or_calibrate(calibration_path(family, seed, robot), family, robot, lambda: swims(family, seed, robot))
 
 
 def swims(family: str, seed: int, robot: Robot) -> list[Trial]:
@@ -83,8 +83,8 @@ def read_or_calibrate(path: Path, family: str, robot: Robot, swims: Callable[[],
     return CalibratedRobot(replace(robot, water=found["water"] | {"model": STRUCTURED}), found["speed_error"])
 
 
-def kept_at(family: str, seed: int, robot: Robot) -> Path:
-    """Path of a kept calibration."""
+def calibration_path(family: str, seed: int, robot: Robot) -> Path:
+    """Path of a cached calibration."""
     swims = [
         [run.id, run.start, run.push, hashlib.sha256(run.commands.tobytes()).hexdigest()]
         for run in families.runs_of(SWIMS, robot)

@@ -267,7 +267,7 @@ class TooDifferent(FishmjError):
         super().__init__(f"{size}: too large for any missing effect")
         self.gap, self.channels, self.causes = gap, channels, causes
 
-    def told(self, json: bool, **more: object) -> int:
+    def report(self, json: bool, **more: object) -> int:
         """Prints the error, with `json` also as JSON; returns the exit code."""
         console.say(str(self), *(f"  {cause}" for cause in self.causes), "to search anyway, add --anyway")
         if json:

@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
         with interrupt.keeping(words):
             inquiry = search(args, robot, given, notes, healthy)
     except admission.TooDifferent as different:
-        return different.told(args.json, skipped=given.broken)
+        return different.report(args.json, skipped=given.broken)
     with interrupt.keeping(words):
         console.say(inquiry.verdict.text())
         if args.out:

@@ -28,7 +28,7 @@ from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import RobotDescription, read_robot, robot_file
 from fishmj.gap.models.robot_sizes import sizes_of
 from fishmj.gap.models.search_step import coarsest
-from fishmj.gap.null.null_runs import digest, kept_at
+from fishmj.gap.null.null_runs import cache_path, digest
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.robot_logs import (
@@ -237,7 +237,7 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
 
 def with_kept_errors(model: RigidRobot, trials: Sequence[Trial], seen: Sequence[RobotRecord], null: RobotNull) -> RigidRobot:
     """The model with the measured errors of its torques. These and the null runs are cached."""
-    path = kept_at(search_key(model, trials, seen, null))
+    path = cache_path(search_key(model, trials, seen, null))
     try:
         kept = read_npz(path)
     except StoreError:

@@ -70,7 +70,7 @@ def main(argv: list[str]) -> int:
     try:
         answer, model, sides, like, advised = _opened(args, null)
     except admission.TooDifferent as different:
-        return different.told(args.json)
+        return different.report(args.json)
     if len(sides) < 2:
         console.say(f"{answer}: {advised or 'fewer than two explanations are left, so there is nothing to separate'}")
         if args.json:

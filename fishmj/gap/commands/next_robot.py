@@ -43,10 +43,10 @@ TOLD = 0.5  # a number is identified if its sd is below this share of the prior'
 
 
 class Score(NamedTuple):
-    """Score of one experiment: sigma for a CLASS, bits for parameters. told: parameters identified, together with the logs."""
+    """Score of one experiment: sigma for a CLASS, bits for parameters. identified: how many it and the logs identify."""
 
     value: float
-    told: int = 0
+    identified: int = 0
 
 
 def next_robot(args: Any) -> int:
@@ -215,14 +215,14 @@ def write(one: RobotExperiment, robot: RobotDescription, out: Path) -> None:
 
 def _row(one: RobotExperiment, score: Score, unit: str) -> dict:
     fast = {"fastest [rad/s or m/s]": float(np.abs(one.v).max()), "way [rad or m]": float(np.ptp(one.q, 0).max())}
-    told = {"numbers told": score.told} if unit == "bits" else {}
+    told = {"numbers told": score.identified} if unit == "bits" else {}
     return {"experiment": one.family, "size": percent(one.share), "s": float(one.t[-1]), unit: score.value} | told | fast
 
 
 def _advice(best: RobotExperiment, score: Score, pairs: list[tuple[str, str]]) -> str:
     size = f"{best.family} at {percent(best.share)} of its span"
     if not pairs:
-        return f"{size} is most informative: {number(score.value)} bits gained, {score.told} parameters identified"
+        return f"{size} is most informative: {number(score.value)} bits gained, {score.identified} parameters identified"
     which = "; ".join(f"{title(a)} or {title(b)}" for a, b in pairs)
     if score.value < ENOUGH:
         return f"no experiment decides between {which}: the best, {size}, reaches {number(score.value)} sigma; repeat it"

@@ -47,12 +47,12 @@ class Series(NamedTuple):
 
 
 class Log(NamedTuple):
-    """One record. where: file or trial, for messages. trial: values of a trial folder; told: values of the file and its name."""
+    """One record. where: file or trial, for messages. trial: values of a trial folder; facts: values of the file and its name."""
 
     name: str
     where: str
     series: dict[str, Series]
-    told: dict[str, str | float]
+    facts: dict[str, str | float]
     trial: Trial | None = None
     notes: tuple[str, ...] = ()
 
@@ -136,11 +136,11 @@ def _of_table(study: StudyInput, folder: Path, path: Path) -> Log:
     t, begin = t[good], float(t[good][0])
     notes = (f"{bare(path.name)}: {bad} row(s) with blanks left out",) if bad else ()
     name = path.relative_to(folder).with_suffix("").as_posix()
-    told: dict[str, str | float] = {"file": name, **_parts(study, name)}
+    facts: dict[str, str | float] = {"file": name, **_parts(study, name)}
     for by in study.given.groups.by:
-        if by not in told and by in sheet.columns:
-            told[by] = _constant(sheet, by)
-    return Log(name, where, {k: Series(t - begin, v[good]) for k, v in columns.items()}, told, None, notes)
+        if by not in facts and by in sheet.columns:
+            facts[by] = _constant(sheet, by)
+    return Log(name, where, {k: Series(t - begin, v[good]) for k, v in columns.items()}, facts, None, notes)
 
 
 def _cells(sheet: Sheet, column: str, key: str, unit: str) -> np.ndarray:
@@ -222,12 +222,12 @@ def _of_trial(study: StudyInput, name: str, trial: Trial) -> Log:
 
 def log_value(log: Log, key: str) -> str | float:
     """Value of a name in `by` or `where` for a log. Raises LogError: unknown; the known names are listed."""
-    value = log.told.get(key)
+    value = log.facts.get(key)
     if value is None and log.trial is not None:
         value = log.trial.value(key)
         value = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
     if not isinstance(value, str | float) or not np.isfinite(value if isinstance(value, float) else 0.0):
-        known = [*log.told, *([] if log.trial is None else (k for k, v in log.trial.meta.items() if isinstance(v, str)))]
+        known = [*log.facts, *([] if log.trial is None else (k for k, v in log.trial.meta.items() if isinstance(v, str)))]
         what = "a key of its meta data" if log.trial is not None else "a part of data.names or a column that does not change"
         raise LogError(f"{log.where}: has no {quoted(key)}; expected {what}. It has {', '.join(map(bare, known))}")
     return value

@@ -88,7 +88,7 @@ class SimulatedNull:
     def prepare(self, model, records: list[Record], bars: Bars) -> None:
         """Makes the missing runs under one progress bar; equal experiments are run once."""
         whats = {self._key(model, record, what): record for record in records for what in (as_excitation(record),)}
-        anew = [record for key, record in whats.items() if not kept_at(key).is_file()]
+        anew = [record for key, record in whats.items() if not cache_path(key).is_file()]
         if not anew:
             return
         self.scales_of_water(model, bars)  # has its own progress bar
@@ -111,7 +111,7 @@ class SimulatedNull:
     def experiment(self, model, record: Record, tick: Tick = lambda done: None) -> dict[str, np.ndarray]:
         """{sensor and column: (n, windows)} residuals of one experiment, cached or new. tick: gets the number of runs."""
         what = as_excitation(record)
-        path = kept_at(self._key(model, record, what))
+        path = cache_path(self._key(model, record, what))
         try:
             return read_npz(path)
         except StoreError:
@@ -171,7 +171,7 @@ class SimulatedNull:
         return hashlib.sha256(text.encode() + what.commands.tobytes()).hexdigest()[:32]
 
 
-def kept_at(key: str) -> Path:
+def cache_path(key: str) -> Path:
     """Path of an experiment's cached residuals."""
     return cache_folder() / "null" / f"{key}.npz"
 

@@ -97,7 +97,7 @@ def warnings(m: ReportData) -> list[str]:
     for n in m.inquiry.verdict.tentative if m.inquiry.verdict.taken else ():
         notes.append(f"{title(n.name)} also helped a little, but may be an error of another effect: it is fitted but not named")
     if m.comparison.changed and not m.inquiry.verdict.shrinks:
-        notes.append(f"The found effect {m.inquiry.verdict.told()}")
+        notes.append(f"The found effect {m.inquiry.verdict.success_text()}")
     shown: list[str] = [part("told", escape_text(n.rstrip(".") + "."), "warn") for n in notes]
     shown += m.inquiry.notes  # escaped, because they contain file names
     shown += [sentence(text) for text in m.inquiry.verdict.unseen()]
@@ -286,9 +286,9 @@ def meaning(m: ReportData) -> str:
     known = {e.name: e for e in m.inquiry.evidence.model.active.effects}
     if v.answer == "NAMED":
         about = "; ".join(known[e.name].about.rstrip(".") for e in v.effects if e.name in known)
-        return f"{about[:1].upper()}{about[1:]}. With it the model {v.told()}."
+        return f"{about[:1].upper()}{about[1:]}. With it the model {v.success_text()}."
     if v.answer == "CLASS":
-        return f"{sentence(v.reason)} The first {v.told()}."
+        return f"{sentence(v.reason)} The first {v.success_text()}."
     if v.answer == "UNEXPLAINED":
         tentative = f" Do not add {' and '.join(title(e.name) for e in v.effects)} yet." if v.effects else ""
         return f"{sentence(v.reason)}{tentative}"

@@ -205,7 +205,7 @@ class Variant(fit_pipeline.FitPipeline):
     def __init__(self, robot, train, val, *, dataset: dict, settings: fit_pipeline.FitSettings, folder: "Path | None", code: str,
                  retune: bool = True, report=fit_pipeline.quiet):  # fmt: skip
         super().__init__(robot, train, val, dataset=dataset, settings=settings, folder=folder, report=report)
-        self.told = asdict(settings) | {"retune": retune}
+        self.all_settings = asdict(settings) | {"retune": retune}
         self.about["code"] = code
         self.scores: dict[str, float] = {}
 
@@ -234,7 +234,7 @@ class Variant(fit_pipeline.FitPipeline):
         )
 
     def _retune(self, state) -> dict:
-        return super()._retune(state) if self.told["retune"] else {}
+        return super()._retune(state) if self.all_settings["retune"] else {}
 
     def _share(self, stage: str, part: float) -> float:
         return (list(NEEDS).index(stage) + part) / len(NEEDS)
@@ -242,7 +242,7 @@ class Variant(fit_pipeline.FitPipeline):
     def _key(self, stage: str) -> str:
         stages = list(NEEDS)
         needed = [name for before in stages[: stages.index(stage) + 1] for name in NEEDS[before]]
-        about = self.about | {"settings": {name: self.told[name] for name in needed}}
+        about = self.about | {"settings": {name: self.all_settings[name] for name in needed}}
         return json_sha256(plain(about))
 
     def _path(self, stage: str) -> Path | None:

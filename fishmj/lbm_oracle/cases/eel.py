@@ -159,9 +159,9 @@ def swim(
     beats: int = BEATS,
     box=BOX,
     sharpness: Sharpness = PLAIN,
-    told: Callable[[int, float], None] | None = None,
+    progress: Callable[[int, float], None] | None = None,
 ) -> EelSwim:
-    """Lets an eel of `cells` cells a length swim from rest; `told` is called with every beat and its speed, L / T."""
+    """Lets an eel of `cells` cells a length swim from rest; `progress` is called with every beat and its speed, L / T."""
     window = Window(cells, device, eel(links), box, sharpness)
     wave = joints((np.arange(window.steps + 1)) / window.steps, links)
     wave[-1] = wave[0]
@@ -177,8 +177,8 @@ def swim(
         gone, at = here - at, here
         speed.append(float(np.hypot(*gone) * np.sign(gone[0])))
         yaw.append(float(np.degrees(window.body.data.qpos[2])))
-        if told is not None:
-            told(beat + 1, speed[-1])
+        if progress is not None:
+            progress(beat + 1, speed[-1])
     return EelSwim(np.array(speed), np.array(yaw))
 
 

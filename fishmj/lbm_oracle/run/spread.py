@@ -1,9 +1,9 @@
 """Independent waters side by side on a device, and over several devices, a process each: segments, swims, points of a map.
 
-    def swum(waiting, device, go_on):            a generator: takes keys from the left, yields what it has finished
+    def swim_all(waiting, device, go_on):        a generator: takes keys from the left, yields what it has finished
         while waiting: yield swim(waiting.popleft(), device)
 
-    for found in spread(swum, keys, devices_of("cuda:all")): book.add(found)
+    for found in spread(swim_all, keys, devices_of("cuda:all")): book.add(found)
 
 On one device the work runs in this process. On several, each process asks for a key whenever it has room, so that a slow one
 takes fewer; none takes more than its part of the rest. No result depends on the process that made it: seeds belong to keys. Only

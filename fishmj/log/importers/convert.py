@@ -87,11 +87,11 @@ def _advised(table: str, doubt: Implausible, entry: TableMap) -> str:
     source = entry.t if doubt.column == "t" else entry.columns[doubt.column]
     place, what = ("t", "time") if doubt.column == "t" else (f"{table}.{doubt.column}", measured(table, doubt.column))
     if source.column is None:
-        return f"{doubt.place}: [tables.{table}] {doubt.column} {doubt.told}. Mend its constant, in SI units"
+        return f"{doubt.place}: [tables.{table}] {doubt.column} {doubt.value_and_range}. Mend its constant, in SI units"
     name, unit = quoted(source.column), source.unit or SI[what]
     scaled = f" times {source.scale:g}" if source.scale != 1 else ""
     allow = f"; if it is right, allow it with --plausible {doubt.bound}=..."
-    text = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.told}"
+    text = f"{doubt.place}: column {name} in {unit}{scaled} as {place} {doubt.value_and_range}"
     fits = fitting(what, doubt.value, unit, doubt.span) if not scaled else []
     if not fits:
         return f"{text}. Mend its scale, zero or unit in the map{allow}"
