@@ -75,8 +75,8 @@ def _least(track: np.ndarray, run: BoatCoast, step: float) -> float:
     """Least sum of squares over the initial speeds of one c. track: (S, N) at every step."""
     at = run.t / step
     i = at.astype(int)
-    seen = track[:, i] + (at - i) * (track[:, i + 1] - track[:, i])
-    return float(np.min(np.sum((seen - run.speed) ** 2, 1)))
+    sampled = track[:, i] + (at - i) * (track[:, i + 1] - track[:, i])
+    return float(np.min(np.sum((sampled - run.speed) ** 2, 1)))
 
 
 def held_out(total: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -64,11 +64,11 @@ def _nearest(speeds: np.ndarray, r: CoastRecord, step: float, starts: np.ndarray
     """Best trajectory (R, K) for a coast's rows, interpolated between three initial speeds. speeds: (R, S, N)."""
     at = r.pose.t / step
     i = np.minimum(at.astype(int), speeds.shape[-1] - 2)
-    seen = speeds[..., i] + (at - i) * (speeds[..., i + 1] - speeds[..., i])  # (R, S, K)
-    squares = np.sum((seen - r.pose.values[:, 0]) ** 2, -1)
+    sampled = speeds[..., i] + (at - i) * (speeds[..., i + 1] - speeds[..., i])  # (R, S, K)
+    squares = np.sum((sampled - r.pose.values[:, 0]) ** 2, -1)
     middle = np.clip(np.argmin(squares, 1), 1, len(starts) - 2)
-    which = np.arange(len(seen))
-    three = np.stack([seen[which, middle + k] for k in (-1, 0, 1)], 1)  # (R, 3, K)
+    which = np.arange(len(sampled))
+    three = np.stack([sampled[which, middle + k] for k in (-1, 0, 1)], 1)  # (R, 3, K)
     # minimum of the parabola through three sums, in steps of the (geometric) grid
     a, b, c = (squares[which, middle + k] for k in (-1, 0, 1))
     bend = np.maximum(a - 2 * b + c, 1e-30)

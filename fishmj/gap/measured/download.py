@@ -65,8 +65,8 @@ def download(url: str, folder: Path, key: str, sha256: str | None, limit: int) -
         trouble = f"expected sha256 {sha256}, got {got} ({len(body)} bytes)"
         if not resumed:  # a complete download with a wrong hash is the server's file; a resumed one may mix two versions
             raise StoreError(f"{url}: {trouble}; the file was changed at its source or on the way, and is not used")
-    there = part.stat().st_size if part.is_file() else 0
-    raise StoreError(f"{url}: {trouble}; {TRIES} tries; {there} bytes are kept, and the same command resumes")
+    size = part.stat().st_size if part.is_file() else 0
+    raise StoreError(f"{url}: {trouble}; {TRIES} tries; {size} bytes are kept, and the same command resumes")
 
 
 def _receive(url: str, part: Path, limit: int) -> None:

@@ -83,12 +83,12 @@ def public_set(name: str) -> PublicSet:
         raise UnknownName("public data set", name, names())
     spec = read_toml(FOLDER / f"{name}.toml")
     files = tuple(Pin(path, entry["sha256"], entry["bytes"], entry.get("source", "")) for path, entry in spec["files"].items())
-    told = spec["licence_file"]
+    licence = spec["licence_file"]
     return PublicSet(
         name=name,
         files=files,
-        licence_file=Pin(told["path"], told["sha256"], told["bytes"]),
-        licence_commit=told.get("commit", spec["commit"]),
+        licence_file=Pin(licence["path"], licence["sha256"], licence["bytes"]),
+        licence_commit=licence.get("commit", spec["commit"]),
         **{key: spec[key] for key in ("about", "repository", "commit", "licence")},
         **{key: spec[key] for key in ("folder", "archive", "note") if key in spec},
     )
@@ -138,9 +138,9 @@ def _right(path: Path, pin: Pin) -> bool:
 
 def _refuse_other(wanted: PublicSet, out: Path) -> None:
     if (out / MANIFEST).is_file():
-        there = Manifest.read(out).meta.get("name")
-        if there != wanted.name:
-            raise ConfigError(f"{out}: holds {there or 'another data set'}, not {wanted.name}; choose another folder")
+        found_name = Manifest.read(out).meta.get("name")
+        if found_name != wanted.name:
+            raise ConfigError(f"{out}: holds {found_name or 'another data set'}, not {wanted.name}; choose another folder")
 
 
 def _unpack(wanted: PublicSet, base: str, out: Path, missing: list[Pin], tell: Say) -> int:

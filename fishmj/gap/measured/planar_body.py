@@ -196,9 +196,9 @@ class PlanarBody(ParameterRow):
     def _seen(self, parameters, motion, t) -> np.ndarray:
         """Measured pose (R, K, 3)."""
         flat = np.zeros(motion.shape[:-1])
-        seen = SensorReadings(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
-        seen = self.active.measure(np, parameters, seen)
-        return np.stack([seen.x, seen.y, seen.yaw], -1)
+        readings = SensorReadings(flat + t, motion[..., 0], motion[..., 1], motion[..., 2], flat[..., None], flat)
+        readings = self.active.measure(np, parameters, readings)
+        return np.stack([readings.x, readings.y, readings.yaw], -1)
 
 
 def covered(before, after, heading) -> np.ndarray:

@@ -150,8 +150,8 @@ class OneServo(ParameterRow):
         t = record.joint.t[None, :] - late[:, None]
         angle = hermite(out[..., :1], out[..., 1:], STRIDE * self.dt, t)
         still = np.zeros_like(t)
-        seen = SensorReadings(t, still, still, still, angle, still)
-        return self.active.measure(np, [column[:, None] for column in parameters], seen).joint
+        readings = SensorReadings(t, still, still, still, angle, still)
+        return self.active.measure(np, [column[:, None] for column in parameters], readings).joint
 
 
 def acting() -> list[Effect]:

@@ -192,8 +192,8 @@ def investigate(
     with bars(most * steps, study.name, "fits") as bar:
         base = current = extended(study, has)
         rounds: list[SelectionRound] = []
-        learned, kept = [study.error(study.learn, base.row)], [study.error(study.aside, base.row)] if study.aside else []
-        aside = f", {study.said(kept[0])} on the {len(study.aside)} kept aside" if kept else ""
+        learned, aside_errors = [study.error(study.learn, base.row)], [study.error(study.aside, base.row)] if study.aside else []
+        aside = f", {study.said(aside_errors[0])} on the {len(study.aside)} kept aside" if aside_errors else ""
         say(f"baseline: error {study.said(learned[0])} on {len(study.learn)} records{aside}")
         while len(rounds) < most:
             done = len(rounds) * steps
@@ -210,9 +210,9 @@ def investigate(
                 break
             current = step.fitted
             learned.append(study.error(study.learn, current.row))
-            kept += [study.error(study.aside, current.row)] if study.aside else []
+            aside_errors += [study.error(study.aside, current.row)] if study.aside else []
         bar.update(most * steps)
-    return StudyOutcome(base, tuple(rounds), tuple(learned), tuple(kept))
+    return StudyOutcome(base, tuple(rounds), tuple(learned), tuple(aside_errors))
 
 
 def extended(study: Study, has=()) -> Candidate:
@@ -237,7 +237,7 @@ def one_round(study: Study, current: Candidate, done=lambda k: None) -> Selectio
     names = tuple(tried)
     before: dict[str, float] = {}
     after: dict[str, np.ndarray] = {}
-    picked: dict[str, float] = {}
+    chosen_cost: dict[str, float] = {}
     errors: dict[str, tuple[float, float]] = {}
     values = []
     for (fold, left_out), ranked in zip(folds, own, strict=True):
@@ -246,9 +246,9 @@ def one_round(study: Study, current: Candidate, done=lambda k: None) -> Selectio
         rows = np.array([fold.base.row, *(known[n].row for n in names)])
         pick = 1 + names.index(ranked[0].names[-1])
         for group, cost in fold.costs(left_out, rows).items():
-            before[group], after[group], picked[group] = float(cost[0]), cost[1:], float(cost[pick])
-            theirs = [r for r in left_out if r.group == group]
-            errors[group] = (study.error(theirs, rows[0]), study.error(theirs, rows[pick]))
+            before[group], after[group], chosen_cost[group] = float(cost[0]), cost[1:], float(cost[pick])
+            of_group = [r for r in left_out if r.group == group]
+            errors[group] = (study.error(of_group, rows[0]), study.error(of_group, rows[pick]))
         values.append({n: known[n].row for n in names})
     groups = sorted(before)
     start, cost = np.array([before[g] for g in groups]), np.stack([after[g] for g in groups], 1)
@@ -261,9 +261,9 @@ def one_round(study: Study, current: Candidate, done=lambda k: None) -> Selectio
     fitted = everything.refit([tried[winner]])[0]
     best = tuple(ranked[0].names[-1] for ranked in own)
     sure_enough = float(np.mean(gains))
-    p = exact_p((1.0 - USEFUL) * start, np.array([picked[g] for g in groups]))
+    p = exact_p((1.0 - USEFUL) * start, np.array([chosen_cost[g] for g in groups]))
     accepted = sure_enough >= SURE and 2 * best.count(winner) > len(best) and (p <= LEVEL or len(groups) < LEAST_GROUPS)
-    mine = cost[names.index(winner)]
+    winner_cost = cost[names.index(winner)]
     return SelectionRound(
         names,
         cost,
@@ -277,7 +277,7 @@ def one_round(study: Study, current: Candidate, done=lambda k: None) -> Selectio
         tuple(groups),
         np.array([errors[g] for g in groups]),
         p,
-        {n: exact_p(c, mine) for n, c in zip(names, cost, strict=True) if n != winner},
+        {n: exact_p(c, winner_cost) for n, c in zip(names, cost, strict=True) if n != winner},
     )
 
 

@@ -102,22 +102,22 @@ def _runs(study: StudyInput, log: Log, group: str, step: float, dt: float) -> Me
     if not len(first):
         return None
     starts = np.concatenate([path[first], covered(0.0 * path[first], rate[first], path[first, 2])], 1)
-    there = covered(path[first], path[first + steps], path[first, 2])
+    displacement = covered(path[first], path[first + steps], path[first, 2])
     span = steps * h
     begin = track.t[first] + 0.5 * (rows - 1) * h
     scale = np.array(p.scale if p.scale is not None else [np.nan] * 3)
     stamps = span * np.arange(1, len(first) + 1)
-    return MeanGait(log.name, group, dt, _commands(log, begin, span, dt), starts, span, Sensor(stamps, there, scale))
+    return MeanGait(log.name, group, dt, _commands(log, begin, span, dt), starts, span, Sensor(stamps, displacement, scale))
 
 
 def _commands(log: Log, begin: np.ndarray, span: float, dt: float) -> np.ndarray:
     """Commands: (1, 2) if constant in the log, else (K, T, 2) per run; missing ones are 0."""
-    given = [log.series.get(k) for k in ("amplitude", "bias")]
-    if all(s is None or not np.ptp(s.values) for s in given):
-        return np.array([[0.0 if s is None else s.values[0] for s in given]])
+    commands = [log.series.get(k) for k in ("amplitude", "bias")]
+    if all(s is None or not np.ptp(s.values) for s in commands):
+        return np.array([[0.0 if s is None else s.values[0] for s in commands]])
     at = begin[:, None] + dt * np.arange(int(np.ceil(span / dt)) + 1)
     held = lambda s: s.values[np.clip(np.searchsorted(s.t, at, side="right") - 1, 0, len(s.t) - 1)]
-    return np.stack([np.zeros_like(at) if s is None else held(s) for s in given], -1)
+    return np.stack([np.zeros_like(at) if s is None else held(s) for s in commands], -1)
 
 
 def averaged(values: np.ndarray, n: int) -> np.ndarray:
@@ -180,15 +180,15 @@ def repeats(found: Sequence[MeanGait], near: float) -> float:
 
     Initial speeds of both runs differ by less than `near` times the error scale per run.
     """
-    seen = []
+    errors = []
     for i, a in enumerate(found):
         scale = a.pose.sigma
         for b in found[i + 1 :]:
             if a.group != b.group:
                 continue
             for s, end in zip(a.starts, a.pose.values, strict=True):
-                apart = np.abs(b.starts[:, 3:] - s[3:]) * a.span / scale
-                j = int(np.argmin(apart.max(1)))
-                if apart[j].max() < near:
-                    seen.append(0.5 * np.mean(((end - b.pose.values[j]) / scale) ** 2))
-    return float(np.mean(seen)) if seen else 0.0
+                difference = np.abs(b.starts[:, 3:] - s[3:]) * a.span / scale
+                j = int(np.argmin(difference.max(1)))
+                if difference[j].max() < near:
+                    errors.append(0.5 * np.mean(((end - b.pose.values[j]) / scale) ** 2))
+    return float(np.mean(errors)) if errors else 0.0

@@ -116,13 +116,13 @@ def _protocol_text(study: StudyInput, records: Sequence[Any], what: str, error: 
     """The protocol in words."""
     held, groups = study.given.held_out, {r.group for r in records}
     by = ", ".join(study.given.groups.by)
-    kept = f"{held.aside} groups kept aside (seed {study.given.search.seed})" if held.aside else ""
-    kept = kept or (
+    aside = f"{held.aside} groups kept aside (seed {study.given.search.seed})" if held.aside else ""
+    aside = aside or (
         f"records with {', '.join(f'{k} = {v}' for k, v in held.where.items())} kept aside" if held.where else "none kept aside"
     )
     folds = f"{held.folds} folds" if held.folds else "one group left out at a time"
     return (
-        f"{what}, {len(groups)} groups (by {by}); {kept}, {folds}",
+        f"{what}, {len(groups)} groups (by {by}); {aside}, {folds}",
         error,
         f"baseline: {', '.join(study.given.baseline.fitted) or 'nothing'} fitted anew with every candidate",
     )

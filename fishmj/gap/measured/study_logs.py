@@ -170,10 +170,10 @@ def _rising(sheet: Sheet, rows: np.ndarray, t: np.ndarray, column: str) -> None:
 
 def _constant(sheet: Sheet, column: str) -> float:
     values = sheet.columns[column]
-    seen = values[np.isfinite(values)]
-    if not len(seen) or np.ptp(seen) > 1e-9 * max(1.0, float(np.abs(seen).max())):
+    finite = values[np.isfinite(values)]
+    if not len(finite) or np.ptp(finite) > 1e-9 * max(1.0, float(np.abs(finite).max())):
         raise LogError(f"{sheet.where}: column {quoted(column)} changes or is blank; [groups] by needs one value a file")
-    return float(seen[0])
+    return float(finite[0])
 
 
 def _parts(study: StudyInput, name: str) -> dict[str, str | float]:

@@ -81,8 +81,8 @@ class Tank:
     def speeds(self, rows) -> np.ndarray:
         """Mean speed (R, L) of every parameter row in every trial."""
         late = STAMPS >= SECONDS - STEADY
-        seen = [each["pose"][:, late] for each in self.plant.predict(self.records, np.atleast_2d(rows))]
-        slopes = [[np.polyfit(STAMPS[late], track[..., axis].T, 1)[0] for axis in (0, 1)] for track in seen]  # (L, 2, R)
+        poses = [each["pose"][:, late] for each in self.plant.predict(self.records, np.atleast_2d(rows))]
+        slopes = [[np.polyfit(STAMPS[late], track[..., axis].T, 1)[0] for axis in (0, 1)] for track in poses]  # (L, 2, R)
         return np.array([np.hypot(*each) for each in slopes]).T
 
     @property
@@ -146,7 +146,7 @@ def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") ->
     speeds = tank.speeds(rows_of(tank, constant, term, grid))
     every = np.ones(len(measured), bool)
     folds = [every & (np.arange(len(measured)) != i) for i in range(len(measured))]
-    values, seen = [], []
+    values, simulated = [], []
     for used in (*folds, every):
         best = int(np.argmin(squares(speeds, measured, used)))
         value, speed = grid[best], speeds[best]
@@ -156,9 +156,9 @@ def left_out(tank: Tank, measured: np.ndarray, constant: str, term: str = "") ->
             best = int(np.argmin(squares(found, measured, used)))
             value, speed = fine[best], found[best]
         values.append(value)
-        seen.append(speed)
-    errors = np.array([seen[i][i] / measured[i] - 1.0 for i in range(len(measured))])
-    return CandidateModel(constant, term, errors, np.array(values[:-1]), values[-1], seen[-1])
+        simulated.append(speed)
+    errors = np.array([simulated[i][i] / measured[i] - 1.0 for i in range(len(measured))])
+    return CandidateModel(constant, term, errors, np.array(values[:-1]), values[-1], simulated[-1])
 
 
 def rows_of(tank: Tank, constant: str, term: str, grid: np.ndarray) -> np.ndarray:

@@ -91,9 +91,9 @@ class FlownPinocchio:
         """Advances by one step."""
         h, turn = self.h, self.pin.Quaternion(*self.q[3:]).matrix()  # of the body in the world
         thrust = np.clip(self.gain * self.lag.at(u) + self.offset, 0.0, self.limit)
-        given = push + self.laws.wrench(self.q, self.t)
-        force = turn.T @ given[:3] + [0.0, 0.0, thrust.sum()]
-        torque = given[3:] + self.lever @ thrust
+        wrench = push + self.laws.wrench(self.q, self.t)
+        force = turn.T @ wrench[:3] + [0.0, 0.0, thrust.sum()]
+        torque = wrench[3:] + self.lever @ thrust
         if self.plan.density:
             drag = box_drag(self.plan, turn.T @ (self.v[:3] - self.plan.wind), self.v[3:])
             force, torque = force + drag[0], torque + np.cross(self.plan.limbs[0].centre, drag[0]) + drag[1]

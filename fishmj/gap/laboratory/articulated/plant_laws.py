@@ -97,9 +97,9 @@ class FreeBodyLaws:
         """(6,) N in the world, N m in the body."""
         out = np.zeros(6)
         if self.tether:
-            apart = q[:3] - [self.tether[n] for n in ("x", "y", "z")]
-            far = float(np.linalg.norm(apart))
-            out[:3] = -self.tether["stiffness"] * apart * max(0.0, 1.0 - self.tether["slack"] / max(far, 1e-9))
+            offset = q[:3] - [self.tether[n] for n in ("x", "y", "z")]
+            distance = float(np.linalg.norm(offset))
+            out[:3] = -self.tether["stiffness"] * offset * max(0.0, 1.0 - self.tether["slack"] / max(distance, 1e-9))
         if self.vibration:
             p = self.vibration
             out[3] = p["torque"] * np.sin(2.0 * np.pi * p["frequency"] * t + p["phase"])

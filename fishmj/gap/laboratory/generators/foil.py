@@ -131,12 +131,12 @@ def wing(law, u, w, behind, memory, h):
         return 0.0, 0.0
     sine, cosine = late / np.sqrt(late * late + u * u + 1e-12), u / speed
     angle = np.arctan2(abs(late), abs(u))
-    apart = (1.0 - law.vortex) / (1.0 + np.exp((law.stall - angle) / law.width))
+    separated = (1.0 - law.vortex) / (1.0 + np.exp((law.stall - angle) / law.width))
     ahead = 0.5 + 0.5 * u / np.sqrt(u * u + w * w / 9.0)
-    attached = (1.0 - apart) * law.slope * sine * ahead
-    lift = attached + apart * 2.0 * abs(sine) * sine * cosine
+    attached = (1.0 - separated) * law.slope * sine * ahead
+    lift = attached + separated * 2.0 * abs(sine) * sine * cosine
     broad = abs(w) / speed
-    drag = 2.0 * skin(law, speed) + attached * attached * law.induced + apart * 2.0 * broad * broad * broad
+    drag = 2.0 * skin(law, speed) + attached * attached * law.induced + separated * 2.0 * broad * broad * broad
     return law.fin * speed * (lift * w - drag * u), law.fin * speed * (-lift * u - drag * w)
 
 

@@ -76,8 +76,8 @@ def generate(
 
 def laid_on(fish: RobotParameters, what: Excitation) -> np.ndarray:
     """Commands (T, J) of an experiment for the fish's joints."""
-    given = np.asarray(what.commands, float)
-    return given if given.shape[1] == fish.joints else excitation.bent(given, fish.joints)
+    commands = np.asarray(what.commands, float)
+    return commands if commands.shape[1] == fish.joints else excitation.bent(commands, fish.joints)
 
 
 def record(fish: RobotParameters, what: Excitation, seed: int, index: int, noise: float, step: float = STEP) -> TrueMotion:

@@ -204,8 +204,8 @@ class Electronics:
         made, q = self.made, self.queue
         record = np.empty((steps, len(columns(self.joints))))
         first = int(np.searchsorted(q.times, self.state.clock[0] - H))
-        given = (made.body, made.water, made.motor, made.tank, made.odd, made.zero, self.gust)
-        ahead(*given, q.times[first:], q.commands[first:], self.state, record, self._work, self.law)
+        groups = (made.body, made.water, made.motor, made.tank, made.odd, made.zero, self.gust)
+        ahead(*groups, q.times[first:], q.commands[first:], self.state, record, self._work, self.law)
         self.held = self.law[:, FASTEST] < HELD
         self._next = float(self.state.clock[0])
         self.rows.append(record)

@@ -52,8 +52,8 @@ def main(argv: list[str]) -> int:
     add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)
     many = f"experiments at once on each device; by default {ON_GPU} on a GPU, else 1"
     add("--tanks", type=console.whole(1, 256), help=many)
-    add("--out", type=console.out_folder, help="folder of data sets, continued if it exists; required unless --dry-run")
-    add("--truth", type=console.out_file, help="file for the hidden effects, outside --out; required unless --dry-run")
+    add("--out", type=console.out_folder, help="folder of data sets, continued if it exists; needed unless --dry-run")
+    add("--truth", type=console.out_file, help="file for the hidden effects, outside --out; needed unless --dry-run")
     add("--dry-run", action="store_true", help="print plan and cost, and stop")
     args = parser.parse_args(argv)
     _apart(args)

@@ -150,7 +150,7 @@ def nominal(
     )
     latency = timing.command_latency - FIRMWARE_WAIT * motor.period
     network = constants.NetworkConstants(period=timing.bus_dt, latency=latency, **table["network"])
-    seen = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
+    vision = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
     air = table["air"]
     return RobotConstants(
         robot=robot,
@@ -162,7 +162,7 @@ def nominal(
         motor=motor,
         tank=constants.TankConstants(half=1.8),
         network=network,
-        camera=constants.CameraConstants(**seen, **table["camera"]),
+        camera=constants.CameraConstants(**vision, **table["camera"]),
         meter=constants.MeterConstants(**table["meter"]),
         odd=constants.UncataloguedEffects(),
     )

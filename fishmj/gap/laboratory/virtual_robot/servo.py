@@ -56,14 +56,14 @@ def firmware(body, motor, odd, zero, s):
         error = s.aim[j] - angle
         if abs(error) < motor.deadband:
             error = 0.0
-        asked = gain * error - rate_gain * (angle - s.seen[j]) / motor.period
+        request = gain * error - rate_gain * (angle - s.seen[j]) / motor.period
         rate = s.rate[3 + j] - s.rate[2 + j]
-        if motor.slowness > 0.0 and asked * rate > 0.0:  # a steeper torque-speed line through the same stall torque
+        if motor.slowness > 0.0 and request * rate > 0.0:  # a steeper torque-speed line through the same stall torque
             spare = motor.torque * max(1.0 - abs(rate) * motor.slowness, 0.0)
             most = spare + motor.constant * motor.constant / motor.resistance * min(abs(rate), 1.0 / motor.slowness)
-            asked = min(max(asked, -most), most)
+            request = min(max(request, -most), most)
         s.seen[j] = angle
-        s.drive[j] = min(max(asked, -motor.limit), motor.limit) * worn
+        s.drive[j] = min(max(request, -motor.limit), motor.limit) * worn
         if time < s.clock[2]:
             s.drive[j] = 0.0
     if odd.crosstalk != 0.0:
@@ -89,11 +89,11 @@ def motor_torque(motor, s, j, rate, fresh, h):
     damping = fresh * motor.constant * motor.constant / motor.resistance
     torque = motor.constant * held - damping * rate
     if motor.half_gap > 0.0:
-        apart = s.gap[j]
-        pushing = (apart >= motor.half_gap and torque > 0.0) or (apart <= -motor.half_gap and torque < 0.0)
+        gap = s.gap[j]
+        pushing = (gap >= motor.half_gap and torque > 0.0) or (gap <= -motor.half_gap and torque < 0.0)
         if not pushing:  # the motor crosses the backlash at no-load speed, without torque
-            apart += h * (volts / motor.constant - rate)
-            s.gap[j] = min(max(apart, -motor.half_gap), motor.half_gap)
+            gap += h * (volts / motor.constant - rate)
+            s.gap[j] = min(max(gap, -motor.half_gap), motor.half_gap)
             s.amps[j] = 0.0
             return 0.0, 0.0
     s.amps[j] = held - damping * rate / motor.constant
