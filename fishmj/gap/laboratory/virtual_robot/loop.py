@@ -57,11 +57,11 @@ def advance(body, water, motor, tank, odd, air, anchor, zero, gust, arrivals, co
 
 @compiled
 def blow(gust, tank, time, stream):
-    """Sets stream: uniform water velocity and its time derivative, from stream, current and gusts."""
+    """Sets stream: uniform water velocity and its time derivative, from stream, current and gusts; the last gust remains."""
     k = min(int(time / GUST), gust.shape[0] - 2)
-    part = time / GUST - k
+    part = min(time / GUST - k, 1.0)
     for a in range(2):
-        stream[2 + a] = (gust[k + 1, a] - gust[k, a]) / GUST
+        stream[2 + a] = (gust[k + 1, a] - gust[k, a]) / GUST if part < 1.0 else 0.0
         stream[a] = gust[k, a] + part * (gust[k + 1, a] - gust[k, a])
     stream[0] += tank.flow_x + tank.current_x
     stream[1] += tank.flow_y + tank.current_y
