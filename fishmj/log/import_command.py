@@ -19,7 +19,7 @@ from fishmj.log.dataset import write_dataset
 from fishmj.log.importers import gather, guess, guessed, other_files, registry, table_forms
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
-from fishmj.log.importers.set_option import overrides, refuse_unknown
+from fishmj.log.importers.set_option import UNUSED, overrides, refuse_unknown
 from fishmj.log.limits import bare, kinds_first, typed
 from fishmj.log.timebase import offsets
 from fishmj.log.trial import SCHEMA, Trial
@@ -233,10 +233,8 @@ def _found(args: Namespace) -> ImportResult:
     foreign = [item for item in items if not item.own and item.files]
     unused = next((name for name in stated if name not in cache.left and not (mapped and name in skip)), "")
     if unused and (args.columns if foreign else mapped or own):
-        told = "a recording that is read by its topics; --format table reads it by its columns, or write a mapping (--topics)"
-        told = told if mapped else "trial folders, which are copied; leave it out"
-        told = f"files that --columns maps; state it in {args.columns}" if foreign else told
-        raise LogError(f"{args.source[0]}: --set {typed(unused)}: no effect on {told}")
+        which = UNUSED["columns" if foreign else "topics" if mapped else "folders"]
+        raise LogError(f"{args.source[0]}: --set {typed(unused)}: no effect on {which.format(args.columns)}")
     if args.columns:
         wanted = read_map(args.columns)
         known = {column for item in foreign for sheet in cache.sheets_of(item) for column in sheet.columns}

@@ -10,6 +10,12 @@ from fishmj.log.importers.sheet import DATE
 from fishmj.log.limits import quoted
 from fishmj.log.trial import TABLES, table_spec
 
+UNUSED = {  # where a statement has no effect; {} is the file of the map
+    "columns": "files that --columns maps; state it in {}",
+    "topics": "a recording that is read by its topics; --format table reads it by its columns, or write a mapping (--topics)",
+    "folders": "trial folders, which are copied; leave it out",
+}
+
 
 def overrides(texts: Iterable[str]) -> dict[str, tuple[str, str, float]]:
     """Parses `servo1=cmd.c1:deg`, `u=pose.x:px*0.0012`, `foo=skip` to {column: (place, unit, scale)}.
