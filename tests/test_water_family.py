@@ -161,8 +161,9 @@ def test_members_of_other_bodies_residuals_or_bounds_are_refused(tmp_path):
     first, second = FAMILY.members[:2]
     with pytest.raises(ConfigError, match="got waters of two bodies, 'swift' for robot 'swift' .* leave one out, or fit it"):
         WaterFamily("x", [first, replace(second, body_sha256="0" * 64)], scatter=0.1, residual=(0.5, 1.0))
-    with pytest.raises(ConfigError, match="residual of .* has another size.*NAME-base"):
-        WaterFamily("x", [first, replace(second, learnt=None)], scatter=0.1, residual=(0.5, 1.0))
+    for pair in ([first, replace(second, learnt=None)], [replace(second, learnt=None), first]):
+        with pytest.raises(ConfigError, match="'swift-slip099' has no learnt residual, 'swift' has one.*NAME-base"):
+            WaterFamily("x", pair, scatter=0.1, residual=(0.5, 1.0))
     with pytest.raises(ConfigError, match="the smaller number first"):
         WaterFamily("x", [first, second], scatter=0.1, residual=(1.0, 0.5))
     with pytest.raises(ConfigError, match=r"drag: got \[1.2, 0.5\], expected the smaller number first"):
@@ -204,6 +205,11 @@ def test_a_family_takes_members_from_its_folder_then_shipped_ones(tmp_path):
     HydroModel.load("swift-slip095").save(tmp_path)
     path = family_file(tmp_path, members='["swift-base", "swift-slip095-base"]')
     assert [one.name for one in family_of(str(path)).members] == ["swift-base", "swift-slip095-base"]
+    named = WaterFamily.load(family_file(tmp_path, members='["swift", "swift-slip095.toml"]'))
+    assert [one.name for one in named.members] == ["swift", "swift-slip095"]
+    replace(named.members[1], preview=True).save(tmp_path / "new")
+    said = chosen(load_robot("fish"), family_file(tmp_path / "new", members='["swift", "swift-slip095"]')).said
+    assert said.endswith("between the fits swift (slip 1), swift-slip095 (slip 0.95, a preview)")
     with pytest.raises(StoreError, match=r"'b': .* holds swift-slip095; fishmj comes with swift, "):
         WaterFamily.load(family_file(tmp_path, members='["swift", "b"]'))
 

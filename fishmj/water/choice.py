@@ -207,7 +207,8 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
         about = f"robot {robot.name!r}: [water] {', '.join(own)}"
         console.warn_once(f"{about}: not used in the fitted water {name!r}; --water structured uses them", about)
     if family is not None:
-        fits = ", ".join(dict.fromkeys(f"{one.name} (slip {one.slip:g})" for one in family.members))
+        said = lambda one: f"{one.name} (slip {one.slip:g}{', a preview' if one.preview else ''})"
+        fits = ", ".join(dict.fromkeys(map(said, family.members)))
         return WaterChoice(FITTED, made, f"{name}: each randomised fish draws a water between the fits {fits}")
     parts = "strips alone" if model.learnt is None else "strips and learnt residual"
     preview = ", a preview" if model.preview else ""

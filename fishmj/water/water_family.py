@@ -43,7 +43,7 @@ RESERVE = 1.3  # minimal ratio of the fastest gait to the stream, because a fish
 EXPECTED = {
     "schema": "'fishmj.water-family/1'",
     "name": "1 to 64 letters, digits, '_', '.' or '-'",
-    "members": "2 to 32 names of fitted waters, without folder and .toml",
+    "members": "2 to 32 names of fitted waters, without folder",
     "scatter": "a number from 0 to 0.5",
     "residual": "two numbers from 0 to 2, the smaller first",
     "drag": "two numbers above 0, 2 at most, the smaller first",
@@ -98,10 +98,11 @@ class WaterFamily:
                 got = f"{first.name!r} fitted at dt = {first.dt} s and {other.name!r} at {other.dt} s"
                 raise ConfigError(f"{where} members: got {got}, expected one time step; fit one again")
             if _shapes(other) != _shapes(first):
-                raise ConfigError(
-                    f"{where} members: the learnt residual of {other.name!r} has another size than that of {first.name!r};"
-                    " give fits with networks of one size, or their strips alone (NAME-base)"
-                )
+                got = f"the learnt residual of {other.name!r} has another size than that of {first.name!r}"
+                for one, beside in ((first, other), (other, first)):
+                    got = f"{one.name!r} has no learnt residual, {beside.name!r} has one" if one.learnt is None else got
+                todo = "give fits with networks of one size, or the strips of all alone (NAME-base)"
+                raise ConfigError(f"{where} members: {got}; {todo}")
         if len({model.sha256 for model in members}) == 1:
             raise ConfigError(f"{where} members: got one water {len(members)} times, expected at least two waters; name another")
         residuals = {_residual_sha256(model): model.learnt for model in members if model.learnt is not None}
@@ -221,7 +222,7 @@ class WaterFamily:
             found = FamilyFile.model_validate(table | {key: tuple(table[key]) for key in bounds})
         except ValidationError as error:
             raise DescriptionError(_faults(error, table, where)) from error
-        members = [_member(path, where, member) for member in found.members]
+        members = [_member(path, where, member.removesuffix(".toml")) for member in found.members]
         more = {"drag": found.drag, "fastest": found.fastest}
         return cls(found.name, members, scatter=found.scatter, residual=found.residual, where=where, **more)
 
