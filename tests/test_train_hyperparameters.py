@@ -284,7 +284,9 @@ def test_an_interrupted_training_says_so_before_its_summary(monkeypatch):
     assert "stopped after 10 control steps in 1 min 01 s in all (compiling iterations included) on planar" in said[1]
 
 
-def test_the_command_that_judges_says_what_differs_from_the_robots_own_timing():
+def test_the_command_that_judges_says_what_differs_from_the_robots_own_timing_and_water():
     assert judging(preset("quick"), "runs/a b") == "fishmj evaluate 'runs/a b'"
     own = change(preset("quick"), robot="tendon_fish", command_path="hold", control_dt=0.4)
     assert judging(own, "runs/a") == "fishmj evaluate runs/a --robot tendon_fish --control-dt 0.4 --command-path hold"
+    for water, said in (("fitted", ""), ("lbm", ""), ("family", " --water family"), ("a b.toml", " --water 'a b.toml'")):
+        assert judging(change(preset("quick"), water=water), "runs/a") == f"fishmj evaluate runs/a{said}"

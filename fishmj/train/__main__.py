@@ -432,11 +432,13 @@ def planned(args, point: str) -> list[PlannedRun]:
 
 
 def judging(settings, folder: str) -> str:
-    """Command that evaluates a training's policy with the robot, control step and command path of its `Settings`."""
+    """Command that evaluates a policy as its `Settings`: robot, water (not the flow solver), control step, command path."""
     from fishmj.mjcf.reading import load_robot
 
     own = load_robot(settings.robot).timing
     words = ["fishmj", "evaluate", folder, *(["--robot", settings.robot] if settings.robot != "fish" else [])]
+    if settings.water not in ("auto", choice.FITTED, choice.LBM):
+        words += ["--water", settings.water]
     if settings.control_dt not in (0.0, own.control_dt):
         words += ["--control-dt", f"{settings.control_dt:g}"]
     if settings.command_path not in ("", own.command_path):
