@@ -260,6 +260,7 @@ def test_the_bare_verb_from_nothing_to_a_report(home, swims, monkeypatch, capsys
     found = json.loads(out.splitlines()[-1])
     assert "the preview is swift-preview" in out and "swift-preview is a preview, fitted to the first part of a plan" in out
     assert found["fit"]["preview"] and found["check"]["preview"] and found["check"]["figures"]["speed_error_mean"] < 0.3
+    assert 0.2 < found["fit"]["fastest"] < 2.0 and f"fastest gait {found['fit']['fastest']:.2g} m/s (a family's" in out
     model = HydroModel.load(Path(found["fit"]["model"]))
     assert model.preview and model.name == "swift-preview" and model.base_only.preview and not HydroModel.load("swift").preview
     assert "a preview, not fitted to a whole plan" in chosen(FISH, found["fit"]["model"]).said, "whoever swims in it is told"

@@ -316,7 +316,21 @@ def fit(robot: Robot, folder: Path, args) -> dict:
     if taken and path.parent.resolve() not in [folder.resolve() for folder in FOLDERS]:
         console.say(f"swim in it with --water {shlex.quote(str(path))}, in play, train and evaluate")
     row = {"model": str(path), "taken": taken, "place": str(place), "preview": model.preview, "validation": new, "standing": old}
-    return row | {"seconds": done.seconds, "notes": done.notes}
+    return row | {"fastest": fastest_gait(robot, path), "seconds": done.seconds, "notes": done.notes}
+
+
+def fastest_gait(robot: Robot, water: Path) -> float | None:
+    """Speed in m/s of the fastest measured gait in a fitted water, which it prints; None if no gait swims."""
+    from fishmj.control.gait_table import gait_of
+    from fishmj.water.choice import in_water
+
+    try:
+        fastest = float(gait_of(in_water(robot, water))["speed"].max())
+    except ConfigError as error:
+        console.say(str(error))
+        return None
+    console.say(f"fastest gait {fastest:.2g} m/s (a family's `fastest`); faster streams carry the fish away")
+    return fastest
 
 
 def chosen(robot: Robot, args) -> HydroModel:
