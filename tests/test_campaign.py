@@ -221,7 +221,9 @@ def collected(folder):
 def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):
     asked = ["--preview", "--dry-run", "--json", "--device", "cuda", "--out", str(tmp_path / "no")]  # also for another machine
     assert console.run(main, asked) == console.OK
-    said = json.loads(capsys.readouterr().out.splitlines()[-1])
+    *lines, last = capsys.readouterr().out.splitlines()
+    said = json.loads(last)
+    assert "idle cores without a GPU" in lines[-1]
     assert (
         said["plan"] == "preview"
         and 80 < said["water_s"] < 130

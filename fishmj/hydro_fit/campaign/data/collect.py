@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 from fishmj.base import console, interrupt
 from fishmj.base.calib import OWN
+from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, DatasetError, StoreError
 from fishmj.base.store import Manifest, read_json, sha256, write_json
 from fishmj.hydro_fit.campaign.data import plan as plans
@@ -320,8 +321,8 @@ def say_cost(plan: CampaignPlan, out: Path, domain: Domain, boundary: str, args:
     water = sum(segment.water for segment in left)
     place = {"out": str(out), "domain": domain.name, "boundary": boundary}
     words = ", ".join(f"{key} {value}" for key, value in place.items())
-    there = console.duration(solver_cost.cpu_seconds([(domain, water)]))
-    console.say(f"{words}: {len(left)} segments to solve, {water:.0f} s of water; on this machine's CPU about {there}")
+    takes = f"about {console.duration(solver_cost.cpu_seconds([(domain, water)]))} on {usable_cores()} idle cores without a GPU"
+    console.say(f"{words}: {len(left)} segments to solve, {water:.0f} s of water; {takes}")
     if args.json:
         told = {"plan": plan.label, "water_s": plan.water, "left_s": water, "blocks": plan.rows(), **place}
         console.emit_json(told | {"split_sha256": plan.split_sha256})
