@@ -15,7 +15,7 @@ from fishmj.base.errors import ConfigError, DatasetError, OracleUnstable
 from fishmj.base.store import write_json
 from fishmj.hydro_fit import segment_dataset
 from fishmj.hydro_fit.campaign.data import plan, run_segments, solver_hash
-from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, main
+from fishmj.hydro_fit.campaign.data.collect import Collected, collect, domain_of, main, warn_of_cells
 from fishmj.hydro_fit.campaign.data.segment import Segment, drive
 from fishmj.hydro_fit.campaign.data.solver_hash import code_of, solver_sha256
 from fishmj.hydro_fit.record import HALF, narrow, read_record
@@ -216,6 +216,16 @@ def collected(folder):
     return Collected(
         folder, segments=1, there=0, run=1, missing=0, stopped={}, lost=[], recorded_s=1, water_s=1, wall_s=1, bytes=1
     )
+
+
+def test_a_hull_that_is_narrow_for_the_cells_is_noted(capsys):
+    half = lambda link: replace(link, sections=tuple((x, high, wide / 2) for x, high, wide in link.sections))
+    small = replace(FISH, links=tuple(map(half, FISH.links)))
+    for robot, box in ((FISH, "laptop"), (SECOND, "window_coarse"), (small, "window"), (small, "laptop_refined")):
+        warn_of_cells(robot, preset(box))
+    assert not capsys.readouterr().err
+    warn_of_cells(small, preset("laptop"))
+    assert "swift is 1.6 cells of 0.02 m wide in laptop, expected 2.5 or more" in capsys.readouterr().err
 
 
 def test_the_command_prints_a_plan_and_refuses_two(capsys, tmp_path):

@@ -43,6 +43,7 @@ from fishmj.mjcf.reading import load_robot
 SCHEMA = "fishmj.campaign/1"
 ON_GPU = 12  # tanks of two million cells that fill one
 BOX, PREVIEW_BOX = "window", "laptop"  # where no data set says another
+NARROWEST = 2.5  # cells across a hull; the second robot has 2.75 at 2 cm, and markers lie 0.7 of a cell inside each side
 GO = "--budget SECONDS or --device cpu"  # begins what takes a CPU long
 
 
@@ -144,6 +145,15 @@ def check_step(plan: CampaignPlan, domain: Domain) -> None:
         what = f"the bus tick of {tick:g} s of {plan.robot.name} is no multiple of dt = {domain.dt:g} s of {domain.name}"
         raise ConfigError(f"collect: {what}; take --dt {tick / steps:.9g}")
     check_speed(domain.lattice, max([SLOW, *(segment.flow.speed for segment in plan.segments)]), f"collect: {domain.name}")
+
+
+def warn_of_cells(robot: Robot, domain: Domain) -> None:
+    """Warns once of a hull that is too narrow for the cells of the domain."""
+    dx = domain.levels[-1].dx
+    cells = max(width for link in robot.links for _, _, width in link.sections) / dx
+    if cells < NARROWEST:
+        told = f"{robot.name} is {cells:.2g} cells of {dx:g} m wide in {domain.name}, expected {NARROWEST:g} or more"
+        console.warn_once(f"{told}: its forces will be wrong; take a --domain of smaller cells")
 
 
 def missing(plan: CampaignPlan, folder: Path, retry: bool = False) -> deque[Segment]:
@@ -281,6 +291,7 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out) if args.out else default_folder(plan)
     domain = domain_of(args, out)
     check_step(plan, domain)
+    warn_of_cells(robot, domain)
     if args.dry_run:  # here, for whatever machine
         if (out / SPLIT).is_file():
             same_fish(read_json(out / SPLIT).get("robot", {}), robot, out)

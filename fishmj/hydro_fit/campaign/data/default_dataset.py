@@ -22,7 +22,17 @@ from fishmj.base.errors import ConfigError, DatasetError
 from fishmj.base.store import Manifest, read_json
 from fishmj.base.store.manifest import MANIFEST
 from fishmj.hydro_fit.campaign.data import plan as plans
-from fishmj.hydro_fit.campaign.data.collect import BOX, ON_GPU, Local, Pool, collect, domain_there, missing, report
+from fishmj.hydro_fit.campaign.data.collect import (
+    BOX,
+    ON_GPU,
+    Local,
+    Pool,
+    collect,
+    domain_there,
+    missing,
+    report,
+    warn_of_cells,
+)
 from fishmj.hydro_fit.campaign.data.plan import CampaignPlan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
 from fishmj.hydro_fit.campaign.data.segment import Segment
@@ -205,6 +215,7 @@ def _solve(
     """Collects within `limit` s; finished segments are kept even after an error."""
     again = f"{folder} holds every segment that was finished; {interrupt.again()}"
     if pool is None:
+        warn_of_cells(asked.robot, box)
         console.say(f"every finished segment is kept in {folder}: after Ctrl-C the same command goes on there")
     with interrupt.keeping(lambda: again):
         budget = limit if limit is not None else asked.budget
