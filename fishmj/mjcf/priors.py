@@ -27,6 +27,7 @@ CONSTANT = {  # of docs/simulate/water.md, "Prior coefficients"; the same for ev
     "stall_lag": 3.0,
     "stations": 6,
 }
+HINGED = {"ke": 0.4, "stall_angle_deg": 180.0}  # of a fish with one joint
 BALLAST = 0.2  # depth of a link's centre of mass below its axis over its body's height, as the default fish has it
 _POINTS = 400  # quadrature points along a link
 
@@ -49,6 +50,9 @@ def water_prior(links: Sequence[Link]) -> dict:
     - ke: 0.7 of the range 0.4 to 0.9; with 0.7, unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
       real fish (`studies/new_shapes.py`; docs/simulate/results.md). The shipped descriptions have 0.5, on which their
       results rest.
+    - One joint makes no travelling wave, so its tail meets the water at every angle. With the stall of a wing the thrust would
+      die away within a minute; a real fish of one joint accelerates for 15 s and more. Without stall and with ke = 0.4 the
+      speeds are 0.9 to 1.2 times those of the flow solver (`studies/NOTES_new_shapes.md`).
     - 3 and 13 are chosen; the literature read here does not give the drag of sections between. They give the
       default fish and the tendon fish the values in their descriptions: k rounded to 0.05, cn to 0.1, which is
       finer than the ranges above.
@@ -61,7 +65,7 @@ def water_prior(links: Sequence[Link]) -> dict:
     share = [plate_share(link, turns=i > 0) for i, link in enumerate(links)]
     k = [round(20 * (K_BODY + p * (K_PLATE - K_BODY))) / 20 for p in share]
     cn = [round(CN_BODY + p * (CN_PLATE - CN_BODY), 1) for p in share]
-    return {"k": k, "cn": cn, **CONSTANT}
+    return {"k": k, "cn": cn, **CONSTANT, **(HINGED if len(links) == 2 else {})}
 
 
 def plate_share(link: Link, *, turns: bool = True) -> float:
