@@ -27,7 +27,7 @@ CONSTANT = {  # of docs/simulate/water.md, "Prior coefficients"; the same for ev
     "stall_lag": 3.0,
     "stations": 6,
 }
-HINGED = {"ke": 0.4, "stall_angle_deg": 180.0}  # of a fish with one joint
+HINGED = {"ke": 0.4, "stall_angle_deg": 170.0}  # of a fish with one joint: no stall, within the bounds of a fit
 BALLAST = 0.2  # depth of a link's centre of mass below its axis over its body's height, as the default fish has it
 _POINTS = 400  # quadrature points along a link
 

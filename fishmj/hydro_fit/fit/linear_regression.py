@@ -36,7 +36,7 @@ class LinearFit(NamedTuple):
 
 
 def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick: float, *, stall: bool = True) -> LinearFit:
-    """Fits all linear coefficients; with `stall`, also the stall angle and lag on a grid.
+    """Fits all linear coefficients; with `stall`, also the stall angle, of a grid or the robot's own, and the lag on a grid.
 
     Raises DatasetError: forces are not finite.
     """
@@ -49,7 +49,8 @@ def fit_linear(robot: Robot, ch: planar_chain.Chain, data: RegressionRows, tick:
     sums = lambda i, columns: _sums(prior, columns, target[:, i])
     last = ch.n - 1  # the grid moves the columns of the last link alone
     ahead = [sums(i, block) for i, block in enumerate(blocks[:last])]
-    grid = [(a, t) for a in ANGLES for t in LAGS] if stall else [(start.stall_angle, start.stall_lag)]
+    angles = sorted({*ANGLES.tolist(), start.stall_angle})
+    grid = [(a, t) for a in angles for t in LAGS] if stall else [(start.stall_angle, start.stall_lag)]
     best: tuple = ()
     noise = np.maximum(target.std(-1), FLOOR)
     for angle, lag in grid:
