@@ -190,11 +190,11 @@ def test_unknown_names_and_impossible_values_are_refused():
         plant({"tether": {"length": 1.0}})
     with pytest.raises(ConfigError, match="finite number in N/m"):
         plant({"tether": {"stiffness": float("nan")}})
-    for name, values in {
-        "crossflow_drag": {"gain": -1.2},
-        "servo_deadband": {"deadband": -0.1},
-        "packet_loss": {"probability": 2.0},
-    }.items():
-        with pytest.raises(ConfigError, match="impossible"):
+    for name, values, expected in (
+        ("crossflow_drag", {"gain": -1.2}, "a number from -0.9, unit 1"),
+        ("servo_deadband", {"deadband": -0.1}, "a number from 0"),
+        ("packet_loss", {"probability": 2.0}, "a number from 0 to 0.95"),
+    ):
+        with pytest.raises(ConfigError, match=expected):
             plant({name: values})
     assert plant({}).motor.range == pytest.approx(pi / 3)

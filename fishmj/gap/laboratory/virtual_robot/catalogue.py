@@ -78,9 +78,10 @@ class CatalogueEntry:
                 raise UnknownName(f"parameter of {self.name}", name, known)
             if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not np.isfinite(value):
                 raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected a finite number in {known[name].unit}")
-            if not known[name].least <= value <= known[name].most:
-                bounds = f"{known[name].least:g} to {known[name].most:g} {known[name].unit}"
-                raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected {bounds}")
+            least, most = known[name].least, known[name].most
+            if not least <= value <= most:
+                bounds = f"from {least:g}" + (f" to {most:g}" if np.isfinite(most) else "")
+                raise ConfigError(f"effect {self.name}: {name} = {value!r}; expected a number {bounds}, unit {known[name].unit}")
         return {p.field: float(values.get(p.name, p.null)) for p in self.parameters}
 
 
