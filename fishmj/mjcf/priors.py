@@ -19,15 +19,14 @@ CONSTANT = {  # of docs/simulate/water.md, "Prior coefficients"; the same for ev
     "cf": 0.012,
     "ca_forward": 0.40,
     "ca_backward": 0.65,
-    "ke": 0.7,
+    "ke": 0.3,
     "lift_a": 0.3,
     "lift_b": 0.7,
-    "stall_angle_deg": 35.0,
+    "stall_angle_deg": 170.0,  # no stall, within the bounds of a fit
     "stall_width_deg": 6.0,
     "stall_lag": 3.0,
     "stations": 6,
 }
-HINGED = {"ke": 0.4, "stall_angle_deg": 170.0}  # of a fish with one joint: no stall, within the bounds of a fit
 BALLAST = 0.2  # depth of a link's centre of mass below its axis over its body's height, as the default fish has it
 _POINTS = 400  # quadrature points along a link
 
@@ -47,12 +46,10 @@ def water_prior(links: Sequence[Link]) -> dict:
     - k: 0.9 for the whole hull (Lamb's integral for the default fish as an ellipsoid gives 0.93 of the strips), 0.7 to 0.85 for a
       plate of finite span; cn: ellipses 1.1 to 1.3 (circular cylinder 1.20), steady plates 1.17 (square) to 1.98 (long), more
       when they flap, hence 2.0 for a plate. Sources and the parts that were read: docs/simulate/water.md.
-    - ke: 0.7 of the range 0.4 to 0.9; with 0.7, unfitted shapes swim about as fast as in the flow solver at the slip ratio of a
-      real fish (`studies/new_shapes.py`; docs/simulate/results.md). The shipped descriptions have 0.5, on which their
-      results rest.
-    - One joint makes no travelling wave, so its tail meets the water at every angle. With the stall of a wing the thrust would
-      die away within a minute; a real fish of one joint accelerates for 15 s and more. Without stall and with ke = 0.4 the
-      speeds are 0.9 to 1.2 times those of the flow solver (`studies/NOTES_new_shapes.md`).
+    - ke and stall: a tail that moves more sideways than ahead meets the water at up to 90 deg. With a wing's stall its thrust
+      dies away, where the flow solver's and a real fish go on accelerating. Without stall and with ke = 0.3, below the range of
+      0.4 to 0.9, shapes swim about as fast as in the flow solver at the slip ratio of a real fish
+      (`studies/NOTES_new_shapes.md`). The shipped descriptions have 0.5 and 35 deg, on which their results rest.
     - 3 and 13 are chosen; the literature read here does not give the drag of sections between. They give the
       default fish and the tendon fish the values in their descriptions: k rounded to 0.05, cn to 0.1, which is
       finer than the ranges above.
@@ -65,7 +62,7 @@ def water_prior(links: Sequence[Link]) -> dict:
     share = [plate_share(link, turns=i > 0) for i, link in enumerate(links)]
     k = [round(20 * (K_BODY + p * (K_PLATE - K_BODY))) / 20 for p in share]
     cn = [round(CN_BODY + p * (CN_PLATE - CN_BODY), 1) for p in share]
-    return {"k": k, "cn": cn, **CONSTANT, **(HINGED if len(links) == 2 else {})}
+    return {"k": k, "cn": cn, **CONSTANT}
 
 
 def plate_share(link: Link, *, turns: bool = True) -> float:

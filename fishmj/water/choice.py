@@ -37,7 +37,7 @@ FAMILY_SCHEMA = "fishmj.water-family/1"
 OWN = "own"  # key in `robot.water` of the description's own table
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients, zero in air
 NO_FORCE = ("model", "stations", "residual")  # keys of `[water]` that a fitted water does not replace
-KE = 0.5  # ke of the shipped descriptions
+EARLIER = {"ke": (0.5, 0.7), "stall_angle_deg": (35.0,)}  # of shipped descriptions and earlier ones of `fishmj new`
 SELF_MADE = (FITTED, STRUCTURED, NONE)  # waters that every engine supports without the flow solver
 SOLVED = (HYBRID, LBM)  # waters that need the flow solver
 HELP = (
@@ -201,7 +201,7 @@ def _fitted(robot: Robot, name: str) -> WaterChoice:
             )
         coefficients["residual"] = share
     made, prior = _with_coefficients(robot, coefficients, name), water_prior(robot.links)
-    guessed = {key: (value, KE if key == "ke" else value) for key, value in prior.items()}
+    guessed = {key: (value, *EARLIER.get(key, ())) for key, value in prior.items()}
     own = [key for key, value in described.items() if key not in NO_FORCE and value not in guessed.get(key, ())]
     if own:
         about = f"robot {robot.name!r}: [water] {', '.join(own)}"
