@@ -75,7 +75,7 @@ EXPECTED = {  # what the page quotes and what does not hang on how long it ran
         "| report/fish.v2.toml |",
     ),
     "train": ("all that fishmj needs is here", "| controller | arrival", "first.html"),
-    "simulate": ("| swims ahead                   | 0.327 m/s", "1.0 Hz: 0.326 m/s", "2.0 Hz: 0.570 m/s", "solved.html"),
+    "simulate": ("| swims ahead                   | 0.251 m/s", "1.0 Hz: 0.250 m/s", "2.0 Hz: 0.454 m/s", "solved.html"),
     "solver": ("1 of 1 checks hold", "force history: ", "C_D = 1.73", "swim.html"),
     "tank": (
         "ended by FINISHED; log in runs/first",
