@@ -1,6 +1,6 @@
 # make demo         train a fish, judge it, watch it
 # make test         style, types, and the tests of every run: all fast ones, and each part of the product once
-# make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, docs, wheel
+# make verify       what `make test` leaves out: slow tests, the extras sb3, ray and bench, flow solver, discrepancy, wheel, the site
 # make verify-share SHARE=2/15   the second of fifteen parts of it: as much as .ci/run has time for
 # make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
@@ -61,7 +61,7 @@ verify: $(EXTRAS) $(SITE)
 
 # the K-th part of N: every N-th file of slow tests, and of the other parts of `make verify` every N-th
 SHARE ?= 1/1
-OTHERS := discrepancy wheel sb3 ray solver docs
+OTHERS := discrepancy wheel sb3 ray solver
 verify-share: $(INSTALLED)
 	@$(MAKE) --no-print-directory slow FISHMJ_SHARE=$(SHARE)
 	@some=$$(.ci/share $(SHARE) $(OTHERS)); [ -z "$$some" ] || $(MAKE) --no-print-directory -j $(JOBS) --output-sync=target $$some
