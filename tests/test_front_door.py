@@ -41,14 +41,18 @@ def test_the_ten_lines_of_a_description_make_a_fish_that_floats_and_swims(tmp_pa
     assert swim_of(Sim(robot)).speed > 0.1
 
 
-@pytest.mark.parametrize("page", [*PAGES[:2], *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page", [*PAGES[:2], *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda page: str(page.relative_to(ROOT))
+)
 def test_what_a_page_links_to_is_there(page):
     links = re.findall(r"\]\(([^)#\s]+)(#?)[^)]*\)", page.read_text(encoding="utf-8"))
     here = {link: bool(anchor) for link, anchor in links if "://" not in link}
     gone = [link for link in here if not (page.parent / link).exists()]
     assert not gone, gone
     if "docs" in page.parts[len(ROOT.parts) :]:  # the site holds no page from outside of docs/, so no heading of one
-        outside = [link for link, anchor in here.items() if anchor and ROOT / "docs" not in (page.parent / link).resolve().parents]
+        outside = [
+            link for link, anchor in here.items() if anchor and ROOT / "docs" not in (page.parent / link).resolve().parents
+        ]
         assert not outside, outside
 
 
