@@ -109,3 +109,61 @@ def test_a_span_of_time_and_one_of_two_clocks_stay_a_question(tmp_path, bring, c
     lab_files.write(tmp_path / "a.csv", {**column, "servo1_deg": 20 * WAVE})
     code, _, err = bring(tmp_path / "a.csv", "--yes")
     assert code == 2 and asked in err, err
+
+
+def test_a_time_of_day_beside_dates_is_of_their_day(tmp_path, bring):
+    """Both began at 0, whatever lay between their first rows."""
+    t = 0.02 * N
+    folder = tmp_path / "swim"
+    folder.mkdir()
+    rows = ["time,servo1_deg", *(f"23:59:{58 + s:06.3f},{20 * w:.4f}" if s < 2 else f"00:00:{s - 2:06.3f},{20 * w:.4f}"
+            for s, w in zip(t, WAVE, strict=True))]  # fmt: skip
+    (folder / "cmd.csv").write_text("\n".join(rows) + "\n")
+    rows = ["time,x_m,y_m,yaw_rad", *(f"2024-04-08T23:59:{58.5 + s:06.3f}Z,{0.1 * s:.4f},0,0" for s in t if s < 1.5)]
+    (folder / "camera.csv").write_text("\n".join(rows) + "\n")
+    assert bring(folder, "--yes")[0] == 0
+    trial = only(tmp_path / "set")
+    assert trial.table("cmd")["t"][0] == 0 and trial.table("pose")["t"][0] == pytest.approx(0.5)
+    assert "cmd: its times of day are taken for those of 2024-04-08" in trial.meta["notes"]
+
+
+def test_stamps_with_and_without_a_date_are_two_clocks(tmp_path, bring):
+    t = 0.02 * N
+    lab_files.write(tmp_path / "swim" / "cmd.csv", {"time_s": 1.7e9 + t, "servo1_deg": 20 * WAVE})
+    lab_files.write(tmp_path / "swim" / "camera.csv", {"time_s": t, **moves(t)})
+    told = "pose: stamps without a date beside stamps with one"
+    assert bring(tmp_path / "swim", "--yes", out=tmp_path / "a")[0] == 0
+    assert any(told in note for note in only(tmp_path / "a").meta["notes"])
+    assert bring(tmp_path / "swim", "--write-map", tmp_path / "map.toml", out=None)[0] == 0
+    said = (tmp_path / "map.toml").read_text().replace("[tables.pose]", "[tables.pose]\noffset = 0.5")
+    (tmp_path / "map.toml").write_text(said)
+    assert bring(tmp_path / "swim", "--columns", tmp_path / "map.toml", out=tmp_path / "b")[0] == 0
+    assert not any(told in note for note in only(tmp_path / "b").meta["notes"])
+
+
+@pytest.mark.parametrize("unit", ["sec", "min"])
+def test_durations_of_matlab_are_stamps(tmp_path, bring, unit):
+    size = {"sec": 1.0, "min": 60.0}[unit]
+    rows = ["Time,servo1_deg", *(f"{0.02 * k / size:.7g} {unit},{20 * w:.4f}" for k, w in enumerate(WAVE))]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
+    near(only(tmp_path / "set").table("cmd")["t"], 0.02 * N)
+
+
+def test_arrays_of_matlab_and_dates_of_numpy_are_read(tmp_path, bring):
+    """loadmat gives columns (T, 1), rows (1, T), and joints (J, T) as they were saved."""
+    t, joints = 0.02 * N, np.radians(20) * np.stack([WAVE, 0.5 * WAVE])
+    dates = np.datetime64("2024-04-08T17:42:36") + (1e3 * t).round().astype("timedelta64[ms]")
+    for name, stamps in (("column", t[:, None]), ("row", t[None]), ("date", dates), ("duration", dates - dates[0])):
+        np.savez(tmp_path / f"{name}.npz", time=stamps, cmd=joints, x=t[:, None], y=0 * t, yaw=0 * t[None])
+        assert bring(tmp_path / f"{name}.npz", "--yes", out=tmp_path / name)[0] == 0
+        trial = only(tmp_path / name)
+        near(trial.table("cmd")["t"], t), near(trial.table("cmd")["c2"], joints[1]), near(trial.table("pose")["x"], t)
+
+
+def test_a_duration_of_a_parquet_file_is_no_time_of_day(tmp_path, bring):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    columns = {"time": pa.array((20 * N).astype("int64"), pa.duration("ms")), "servo1_deg": 20 * WAVE}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    assert bring(tmp_path / "a.parquet", "--yes")[0] == 0
+    assert not any("date" in note for note in only(tmp_path / "set").meta.get("notes", []))

@@ -1,4 +1,4 @@
-"""Names of trials that are imported from several folders, and the experiments that are stated of them."""
+"""Names of trials of several folders, the experiments that are stated of them, and names of columns that mislead."""
 
 import lab_files
 import numpy as np
@@ -7,6 +7,7 @@ import pytest
 from fishmj import log
 from fishmj.base.errors import ConfigError, UsageError
 from fishmj.log import Trial, write_trial
+from fishmj.log.importers import header
 from fishmj.log.importers.gather import excitations
 
 
@@ -100,3 +101,20 @@ def test_the_current_is_stated_by_an_option_or_not_at_all(tmp_path, bring):
         trial = lab_files.only(out)
         assert (trial.value("flow.speed"), trial.value("flow.direction")) == (speed, direction)
         assert trial.value("flow.known") is (True if words else None)
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        *("x_std", "y_max", "yaw_std", "cos_yaw", "rel_x", "wall_x", "angle_x", "servo1_amplitude", "servo1_trim", "joint1_max"),
+        *("joint1_acc", "tail_freq", "servo1_moving", "voltage_ref", "current_limit", "time_offset", "utc_offset"),
+    ],
+)
+def test_a_setting_or_statistic_is_not_the_quantity_itself(column):
+    assert header.role(header.parse(column), set()).places == ()
+
+
+def test_a_rate_of_the_heading_is_no_heading():
+    assert header.role(header.parse("theta_dot"), set()).places == ("joint.w#",)
+    assert header.role(header.parse("yaw_dot"), set()).places == ("velocity.yaw_rate",)
+    assert header.role(header.parse("time_min"), set()).places == ("t",)

@@ -328,3 +328,61 @@ def test_a_heading_that_wraps_at_another_turn_is_asked(tmp_path, bring, turn, un
     assert bring(tmp_path / "in", "--yes", "--set", f"heading=pose.yaw:{unit}")[0] == 0
     found = only(tmp_path / "set").table("pose")["yaw"]
     near(np.cos(found), np.cos(yaw))
+
+
+@pytest.mark.parametrize(("turn", "unit"), [(3600, "deg*0.1"), (256, "rev*0.00390625"), (65536, "rev*1.52587891e-05")])
+def test_whole_counts_of_a_heading_that_wrap_are_asked(tmp_path, bring, turn, unit):
+    """A sensor's tenths of a degree, or parts of a turn that are a power of two, were read as degrees."""
+    yaw = 0.1 * N + 0.05 * WAVE
+    counts = np.floor((yaw % (2 * math.pi)) / (2 * math.pi) * turn)
+    lab_files.write(tmp_path / "a.csv", {"time_s": 0.1 * N, "x_m": np.sin(yaw), "y_m": -np.cos(yaw), "heading": counts})
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and f": {unit}?, --set heading=pose.yaw:{unit};" in err
+    assert bring(tmp_path / "a.csv", "--yes", "--set", f"heading=pose.yaw:{unit}")[0] == 0
+    near(np.cos(only(tmp_path / "set").table("pose")["yaw"]), np.cos(yaw), 2 * math.pi / turn)
+
+
+def test_a_heading_in_counts_that_never_wraps_is_noted(tmp_path, bring):
+    t = 0.02 * np.arange(1000)
+    yaw = 0.5 + 0.06 * t
+    place = {"x_m": 0.2 * np.cumsum(np.cos(yaw)) * 0.02, "y_m": 0.2 * np.cumsum(np.sin(yaw)) * 0.02}
+    lab_files.write(tmp_path / "a.csv", {"time_s": t, **place, "heading": np.round(10 * np.degrees(yaw))})
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
+    told = " ".join(only(tmp_path / "set").meta["notes"])
+    assert "all along: is it in another unit" in told and "Values times 0.1 would agree" in told
+
+
+def test_a_head_that_swings_faster_than_its_tail_is_noted(tmp_path, bring):
+    """A straight swim whose heading goes up to 1.2 degrees was read as rad."""
+    t = 0.02 * np.arange(400)
+    servos = {f"servo{k}_rad": 0.4 * np.sin(7 * t - k) for k in (1, 2, 3)}
+    for name, swing in (("deg", 1.2), ("rad", 0.1)):
+        lab_files.write(tmp_path / f"{name}.csv", {"t": t, **servos, "x": 0.2 * t, "y": 0 * t, "yaw": -swing * np.sin(7 * t - 2)})
+        assert bring(tmp_path / f"{name}.csv", "--yes", out=tmp_path / name)[0] == 0
+        told = " ".join(only(tmp_path / name).meta.get("notes", []))
+        assert ("times as fast as the tail bends (at most 1 is plausible): is yaw in degrees?" in told) == (name == "deg")
+
+
+@pytest.mark.parametrize(("name", "zero"), [("time", 133_500_000_000_000_000), ("stamp", 638_500_000_000_000_000), ("ticks", 0)])
+def test_ticks_of_100_ns_are_asked_with_their_unit(tmp_path, bring, name, zero):
+    """They were read as us, ten times as long."""
+    rows = [f"{name},servo1_deg", *(f"{zero + 200_000 * k},{20 * w:.4f}" for k, w in enumerate(WAVE))]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n")
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and "ns*100 (ticks of " in err and f"{name}=t:s or t:ms or t:us or t:ns or t:ns*100" in err
+    assert bring(tmp_path / "a.csv", "--yes", "--set", f"{name}=t:ns*100")[0] == 0
+    near(only(tmp_path / "set").table("cmd")["t"], 0.02 * N, 2e-5)
+
+
+def test_an_acceleration_below_a_tenth_may_be_said_in_g(tmp_path, bring):
+    lab_files.write(tmp_path / "a.csv", {"t": 0.02 * N, "ax": 0.02 * WAVE, "ay": 0.01 * WAVE})
+    code, _, err = bring(tmp_path / "a.csv", "--yes")
+    assert code == 2 and "--set ax=imu.ax:m/s^2 or imu.ax:g" in err
+
+
+def test_a_joint_that_swings_about_a_far_middle_is_noted(tmp_path, bring):
+    """Percent of a pulse's period, 7.5 when straight, were read as degrees in silence."""
+    lab_files.write(tmp_path / "a.csv", {"t": 0.02 * N, "servo1": 7.5 + 2 * WAVE, "servo2": 7.5 + WAVE, "servo3": 7.5 + 0 * N})
+    assert bring(tmp_path / "a.csv", "--yes")[0] == 0
+    told = [note for note in only(tmp_path / "set").meta["notes"] if "never straight" in note]
+    assert len(told) == 2 and "'servo1' as cmd.c1" in told[0]

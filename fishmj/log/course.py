@@ -24,10 +24,11 @@ BEAT = 0.5  # rad/s, root mean square of the tail's rate from which a recoil is 
 OTHER = 0.4  # correlation of the opposite sign from which the sign is not told
 PACE, APART = 1.0, 0.25  # s over which a course is taken, and between two of them
 TURN = 0.5  # rad that a course must turn through before a heading's sense is told
+LINEAR, ROUND, RESCALED = 0.98, 4.0, 0.2  # squared correlation of course and heading in two units; rad; logarithm of their ratio
 SCALES = {  # unit of a heading -> rad, least turn [rad] of the course that tells it from a current, line of a map
     "degrees": (pi / 180, TURN, 'unit = "deg"'),
-    "half-turns": (pi, 4.0, 'unit = "rev" and scale = 0.5'),
-    "turns": (2 * pi, 4.0, 'unit = "rev"'),
+    "half-turns": (pi, ROUND, 'unit = "rev" and scale = 0.5'),
+    "turns": (2 * pi, ROUND, 'unit = "rev"'),
 }
 CLEAR = 0.25  # rad, scatter of course against heading that still counts as one relation
 FEWEST, MOSTLY = 8, 0.9  # courses; share of them within 60 deg of ahead, or of astern
@@ -36,6 +37,7 @@ DOWN = 0.15  # mean sine of the lag from one joint to the next from which the wa
 NEAR = 20.0  # deg from a quarter turn that still is one
 APACE, STEADY = 0.03, 0.9  # logarithm of two beats' ratio; share of the power of a steady beat that is in its line
 SWINGS, TRAVELS, IDLE = 0.05, 10.0, 0.1  # rad of a free head; way over sway; body lengths a beat, of positions too small
+RECOIL = 1.0  # of the tail's rate that a head swings with at most
 NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or in a turn
 
 
@@ -89,6 +91,15 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
                 )
                 yield IMPORT, text
                 return
+        whole = np.unwrap(course)
+        slope = float(np.polyfit(yaw, whole, 1)[0]) if correlation(yaw, whole) ** 2 > LINEAR else 1.0
+        if max(turned, float(np.ptp(yaw))) > ROUND and off[1] > CLEAR and abs(log(abs(slope))) > RESCALED and bounds.course < pi:
+            text = (
+                f"pose: yaw turns by {np.ptp(yaw):.3g} rad while the course turns by {turned:.3g} rad, all along: is it in"
+                f" another unit, such as a sensor's counts? Values times {slope:.3g} would agree: scale of columns.yaw in the map"
+            )
+            yield USE, text
+            return
         around = np.angle(np.exp(1j * course))
         for low, folded in ((0, np.abs(around)), (-90, np.arcsin(np.sin(around)))):
             alike, back = _relation(folded - yaw), float(np.mean(np.cos(folded - around) < 0.9))
@@ -155,6 +166,11 @@ def handedness(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     if bounds.hand < 1 and tail and head and abs(log(head / tail)) > APACE and abs(head - tail) > 1 / (len(grid) * GRID):
         beats = f"pose: the head swings at {head:.3g} Hz, the tail at {tail:.3g} Hz: are the camera's frames a second right?"
         yield USE, f"{beats} Its stamps times {head / tail:.3g} would agree: scale of t in [tables.pose] of the map"
+        return
+    ratio = float(np.quantile(np.abs(turn), 0.75) / np.quantile(np.abs(swing), 0.75))
+    if bounds.hand < 1 and ratio > RECOIL:
+        text = f"pose: the head swings {ratio:.3g} times as fast as the tail bends (at most {RECOIL:g} is plausible)"
+        yield USE, f'{text}: is yaw in degrees? In the map give columns.yaw unit = "deg"'
         return
     found = [correlation(*delayed(swing, turn, lag)) for lag in (SEEN if measured else FOLLOWS)]
     if max(found) > bounds.hand and min(found) > -OTHER:

@@ -70,7 +70,7 @@ def read_parquet(path: Path) -> list[Sheet]:
                 parts = [_numbers(pa, batch.column(0)) for batch in batches]
                 columns[name] = np.concatenate(parts) if parts else np.zeros(0)
                 if _is_stamp(pa, kind):
-                    units[name] = DATE
+                    units[name] = DATE if pa.types.is_timestamp(kind) else "s"
     except LogError:
         raise
     except (pa.ArrowException, *DAMAGE) as error:
@@ -175,8 +175,15 @@ def read_tables(path: Path) -> list[Sheet]:
     read = read_tensors(path) if path.suffix.lower() in TORCH else read_npz(path, widened=True)
     found: dict[int, Table] = {}
     texts: dict[str, np.ndarray] = {}
-    notes = []
+    notes, units = [], {}
+    read = {name: value.ravel() if value.ndim == 2 and 1 in value.shape else value for name, value in read.items()}  # of MATLAB
+    lengths = {len(value) for value in read.values() if value.ndim == 1}
     for name, value in read.items():
+        if value.ndim == 2 and len(value) not in lengths and value.shape[1] in lengths:
+            value = value.T
+        if value.dtype.kind in "mM":
+            units[name] = DATE if value.dtype.kind == "M" else "s"
+            value = np.where(np.isnat(value), np.nan, value.astype(f"{value.dtype.kind}8[ns]").astype("int64") * 1e-9)
         if value.dtype.kind in "US" and value.ndim and value.size == len(value) > 1 and table_forms.may_tell_apart(name):
             texts[name] = (value if value.dtype.kind == "U" else np.char.decode(value, errors="replace")).ravel()
         elif value.dtype.kind not in "fiub" or value.ndim not in (1, 2) or len(value) < 2 or value.size > COLUMNS * len(value):
@@ -195,5 +202,6 @@ def read_tables(path: Path) -> list[Sheet]:
     for name, (rows, columns) in zip(names, found.items(), strict=True):
         told = {c: text.tolist() for c, text in texts.items() if len(text) == rows}
         shown, apart = {c: text[0] for c, text in told.items()}, table_forms.told_apart(told)
-        sheets.append(checked(Sheet(path, name, columns | {c: np.full(rows, np.nan) for c in told}, text=shown, apart=apart)))
+        whole, own = columns | {c: np.full(rows, np.nan) for c in told}, {c: unit for c, unit in units.items() if c in columns}
+        sheets.append(checked(Sheet(path, name, whole, own, text=shown, apart=apart)))
     return [sheets[0].noted(*notes), *sheets[1:]]

@@ -32,6 +32,8 @@ _GROUPED = {
 }
 _CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2}):(?P<s>\d{2}(?:[.,]\d+|:\d{3})?)\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
 _TIME_OF_DAY = re.compile(_CLOCK, re.ASCII)
+_LONG = {"sec": 1.0, "min": 60.0, "hr": 3600.0, "day": DAY, "days": DAY}  # s; how MATLAB writes a duration
+_DURATION = re.compile(rf"([+-]?\d+(?:\.\d+)?) ({'|'.join(_LONG)})", re.ASCII)
 _MINUTES = re.compile(r"(\d{1,2}):(\d{2}[.,]\d+)", re.ASCII)
 _DATE = re.compile(rf"(\d{{1,4}})([./-])(\d{{1,2}}|[A-Za-z\u00e4]{{3,4}}\.?)\2(\d{{2}}|\d{{4}})[ T,]\s*{_CLOCK}")
 _MONTHS = {"jan": 1, "feb": 2, "mar": 3, "m\u00e4r": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9}
@@ -63,7 +65,10 @@ def is_value(text: str) -> bool:
 
 
 def read(text: str) -> CellReading | None:
-    """The number, date or time of day of a cell without blanks around it; None for text."""
+    """The number, duration [s], date or time of day of a cell without blanks around it; None for text."""
+    if found := _DURATION.fullmatch(text):
+        seconds = float(found[1]) * _LONG[found[2]]
+        return CellReading(seconds, seconds)
     return number(text) or (_stamp(text) if ":" in text and len(text) <= 40 else None)
 
 

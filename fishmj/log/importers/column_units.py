@@ -38,6 +38,7 @@ UNITS: dict[str, tuple[str, float]] = {  # unit -> (what is measured, factor to 
     **{"norm": ("share", math.nan)},  # of full deflection
 }
 STAMPED = ("s", "ms", "us", "ns")  # units of stamps
+TICKING = (11_644_473_600, 62_135_596_800)  # s before 1970 at which the ticks of Windows and of .NET begin
 PARTS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds"}  # units of what is added to a stamp -> keys of a map
 _SPELLED = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "s."), "s"),
@@ -96,7 +97,8 @@ RARE = set(
 )  # taken where a name says so, only
 LONG = ("min", "h", "day")  # of stamps; a name that ends with one means another thing as often
 # a full turn in each unit; a heading that wraps by it is asked about
-TURNS_OF = ((400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad"), (1.0, "rev"), (2.0, "rev*0.5"))
+TURNS_OF = [(400.0, "gon"), (36e3, "cdeg"), (36e4, "mdeg"), (2e3 * math.pi, "mrad"), (1.0, "rev"), (2.0, "rev*0.5")]
+COUNTS_OF = [(3600, "deg*0.1"), (5760, "deg*0.0625"), *((2**n, f"rev*{2.0**-n:.9g}") for n in (8, 10, 12, 14, 16))]  # whole
 TINY_ANGLE = 0.03  # rad or deg: nothing moves, so nothing tells
 RAD, DEG = 2.1, 6.5  # a joint's largest angle: up to RAD it is rad, beyond DEG deg
 COUNTS = 130.0  # deg; a joint beyond is counted in ticks, or from its servo's end
@@ -154,6 +156,8 @@ def time_unit(t: np.ndarray) -> tuple[str, str]:
     for unit in STAMPED:
         if 1e9 < t[0] * UNITS[unit][1] < 4e9:
             return unit, f"{unit} since 1970"
+    if any(1e9 < 1e-7 * t[0] - before < 4e9 for before in TICKING):
+        return "", "ns*100 (ticks of Windows) or ns?"
     step = np.diff(t)
     step = step[step > 0]
     middle = float(np.median(step)) if len(step) else 0.0
@@ -220,7 +224,7 @@ def heading_unit(values: np.ndarray) -> tuple[str, str]:
         return "rad", f"wraps by {jump:.3g}"
     if 300 < jump <= 361:
         return "deg", f"wraps by {jump:.3g}"
-    for turn, unit in TURNS_OF:
+    for turn, unit in TURNS_OF + COUNTS_OF * bool(np.all(values % 1 == 0)):
         if 0.9 * turn < jump <= 1.003 * turn and np.ptp(values) <= 1.003 * turn:
             ends = float(values.max() + values.min()) / turn  # 1 from zero to a turn, 0 to half a turn on either side
             if min(abs(ends), abs(ends - 1)) > 0.1:

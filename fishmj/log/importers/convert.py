@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from itertools import pairwise, permutations
 
@@ -30,6 +31,7 @@ FEW = 3  # times that a clock which was set goes back; rows that are mixed do so
 PAIRS, FAR = 0.2, 0.01  # share of rows with the stamp of the row before; rad or m that two sources are apart
 STRETCHED = 1.5  # times that x and y of one camera may be scaled apart
 BENT, NEVER = 1.7, 0.35  # rad: the middle of no joint; a joint is nearer to straight than that at some time
+MOVES = 0.02  # rad that a joint swings
 EVEN = 10  # rows on either side of a step back that tell a clock that was set
 SWIM = ("cmd", "joint", "pose", "imu", "velocity", "markers")  # tables that are of one swim
 STRAY = 0.01  # share of rows whose stamp may fall behind; more is no longer a stray
@@ -58,6 +60,10 @@ def convert(name: str, sheets: Sequence[Sheet], wanted: ColumnMap, meta: dict) -
         notes += _from_end(table, sheet, columns, entry, bounds_of(meta, name).angle)
         notes += [*(note for note in sheet.notes if note not in notes), *told]
     notes += _zero({t: found[t][0] for t, is_absolute in absolute.items() if is_absolute})
+    aligned = {t: absolute[t] for t in wanted.tables if t in SWIM and "offset" not in wanted.tables[t].model_fields_set}
+    if counted := [t for t, is_absolute in aligned.items() if any(aligned.values()) and not is_absolute]:
+        text = f"{', '.join(counted)}: stamps without a date beside stamps with one, which are counted from their first row"
+        notes.append(f"{text}: two clocks; state their offset in a map, from an event that both saw")
     for table, entry in wanted.tables.items():
         found[table][0]["t"] = found[table][0]["t"] + entry.offset
     swim = {table: columns["t"] for table, (columns, _) in found.items() if table in SWIM}
@@ -277,7 +283,8 @@ def _from_end(table: str, sheet: Sheet, columns: Table, entry: TableMap, most: f
             continue
         low, middle, high = (float(q) for q in np.quantile(columns[name], (0.001, 0.5, 0.999)))
         near, far = min(abs(low), abs(high)), abs(middle)
-        if low * high <= 0 or near < NEVER or source.zero or max(-low, high) > most:
+        swings = MOVES < high - low < near  # about a middle that is further than it swings
+        if low * high <= 0 or near < NEVER and not swings or source.zero or max(-low, high) > most:
             continue
         text = (
             f"column {quoted(source.column)} as {table}.{name} is {low:.3g} to {high:.3g} rad, never straight: counted from the "
@@ -474,11 +481,15 @@ def _zero(tables: dict[str, Table]) -> list[str]:
         return []
     starts = {name: float(table["t"][0]) for name, table in tables.items()}
     notes: list[str] = []
-    if max(starts.values()) < DAY:  # times of day: what began after midnight is a day on
-        for name in (name for name, start in starts.items() if max(starts.values()) - start > HALF_DAY):
-            tables[name]["t"] = tables[name]["t"] + DAY
-            notes.append(f"{name}: its times of day begin after midnight, others before; 24 h added")
-        starts = {name: float(table["t"][0]) for name, table in tables.items()}
+    last = max(starts.values())
+    for name, start in starts.items():
+        day = DAY * round((last - start) / DAY) if abs(start) <= DAY else 0.0  # a time of day is of the day next to the others
+        if day:
+            tables[name]["t"], starts[name] = tables[name]["t"] + day, start + day
+            date = f"are taken for those of {datetime.fromtimestamp(day, UTC):%Y-%m-%d}"
+            notes.append(
+                f"{name}: its times of day {date if last > EPOCH else 'begin after midnight, others before; 24 h added'}"
+            )
     near = {name: start for name, start in starts.items() if max(starts.values()) - start < DAY}
     zero = min(near.values())
     for name, table in tables.items():

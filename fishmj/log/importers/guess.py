@@ -275,11 +275,10 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
                 unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
             fits = ("deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
-            asked = re.split(r"[ ?]", why) if what in ("time", "angle") else []
-            if rare := [
-                u for u in asked if (one := u.partition("*")[0]) in column_units.RARE and column_units.measures(one) == what
-            ]:
-                fits = (*(column_units.likely(what) if what == "time" else ()), *rare)
+            asked = re.split(r"[ ?]", why) if what in ("time", "angle", "acceleration") else []
+            rare = [u for u in asked if measures(u.partition("*")[0]) == what and ("*" in u or u in column_units.RARE)]
+            if rare:
+                fits = (*(column_units.likely(what) if what != "angle" else ()), *rare)
             out.append(replace(g, unit=unit, state=state, why=f"{g.why}; {why}", fits=fits))
     return [g if g.state == LEFT or g.said else column_guess.doubted(kind, g) for g in out]
 
@@ -307,7 +306,9 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
     family = _family(g.place)
     mine = [o for o in guesses if o.state != LEFT and not o.unit and _family(o.place) == family]
     if what == "time":
-        return column_units.time_unit(kind.sheets[0].columns[g.column])
+        unit, why = column_units.time_unit(kind.sheets[0].columns[g.column])
+        ticks = unit == "us" and header.parse(g.column).has({"tick", "ticks"})
+        return ("", f"{why}: ns*100 (ticks of .NET) or us?") if ticks else (unit, why)
     if what == "angle" and g.place.endswith("yaw"):
         return column_units.heading_unit(kind.values(g.column))
     if what == "length":

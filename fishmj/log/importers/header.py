@@ -15,6 +15,7 @@ TIME |= set("zeit stempel datum temps horodatage heure tiempo hora tempo ora tij
 TIME |= set("время 时间 时间戳 時刻 時間 タイムスタンプ 시간".split())
 TIME_PARTS = ("zeit", "time", "stamp", "stempel", "tijd")  # of a compound that begins or ends with it: kamerazeit, frametime
 NO_STAMP = set("rx arrival received delay delta dt duration since exposure shutter timeout latency cycle lifetime loop".split())
+NO_STAMP |= set("offset diff difference remaining zone timezone".split())
 ORIGIN = set("boot bootup start startup power on up reset epoch begin beginning launch init unix the system program".split())
 COMMAND = set("action cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
 COMMAND |= set("soll stell vorgabe consigne comando mandado".split())
@@ -41,6 +42,10 @@ TEMPERATURE = set("temp temperature temperatur temperatura".split())
 NOWHERE = set(
     "error err pwm duty pitch roll depth lat latitude lon longitude percent soc id seq pressure druck tiefe fehler".split()
 )
+ASIDE = set("std stdev stddev sd var variance cov covariance sigma min minimum max maximum limit limits threshold".split())
+ASIDE |= set("offset trim zero bias deadband gain kp ki kd pid amplitude phase freq frequency width attack".split())
+ASIDE |= set("cos sin diff change relative rel".split())
+THINGS = set("wall walls light lamp feeder food prey bait obstacle buoy dock origin corner".split())  # beside the fish
 PULSE = set("pulse pulses pulsewidth".split())
 PULSES = (
     "pulses of a servo, no angles: map them with unit = 'deg', scale = the degrees a us and zero = the us of the straight joint"
@@ -170,7 +175,7 @@ def role(name: Header, context: set[str]) -> Role:
     Args:
         context: words of the file's name or the topic: `commands.csv` tells the meaning of its columns.
     """
-    for rule in (_force, _exact, _time, _power, _imu, _velocity, _place, _heading, _joint):
+    for rule in (_force, _exact, _time, _aside, _power, _imu, _velocity, _place, _heading, _joint):
         if found := rule(name, context):
             return found
     return Role(why=UNKNOWN)
@@ -228,10 +233,18 @@ def _time(name: Header, context: set[str]) -> Role | None:
     return Role(("t",), "a word for time" + (" and its unit" if name.unit else ""))
 
 
+def _aside(name: Header, context: set[str]) -> Role | None:
+    if name.has(ASIDE):
+        return Role(why="a setting, a statistic or a function of a quantity, not the quantity")
+    return Role(why="a place, but not the fish's") if name.has(THINGS) and name.has(AXES) else None
+
+
 def _power(name: Header, context: set[str]) -> Role | None:
     if name.has(CAMERA) or (name.words[:-1] in (("v",), ("u",)) and name.has(AXES)):  # cam_u, cam_v; v_x
         return None
     said, alone = measures(name.unit), not name.has(SERVO | JOINT) and name.number is None
+    if name.has(VOLT | CURRENT) and name.has(COMMAND):
+        return Role(why="a wanted voltage or current; the schema has none")
     battery = name.has(BATTERY) or not context.isdisjoint(BATTERY)
     volts = name.has(VOLT - {"u"}) or name.words in (("v",), ("u",)) or (battery and name.has({"v", "u"}))
     if said == "voltage" or (volts and not said):
@@ -276,6 +289,8 @@ def _place(name: Header, context: set[str]) -> Role | None:
     axis = next((word for word in reversed(name.words) if word in AXES), TRANSLATION.get(" ".join(name.words), ""))
     if not axis or measures(name.unit) not in ("", "length"):
         return None
+    if name.has({"angle", "rot", "rotation", "euler"}):
+        return Role(why="an angle about an axis; the heading is that about the upright one")
     if axis == "z":
         return Role(why="the schema's poses lie in the plane")
     if name.has(COMMAND):
@@ -293,7 +308,8 @@ def _heading(name: Header, context: set[str]) -> Role | None:
         return Role(
             why="a compass bearing runs clockwise from north, yaw the other way from x: map it with sign = -1 and zero = 90"
         )
-    if name.has(HEADING) and name.number is None and measures(name.unit) in ("", "angle") and not name.has(SERVO | {"joint"}):
+    stated = measures(name.unit) in ("", "angle") and not name.has(RATE | SERVO | {"joint"})
+    if name.has(HEADING) and name.number is None and stated:
         if name.has(COMMAND):
             return Role(why="a wanted heading; the schema has none")
         return Role(("pose.yaw",), "a word for the heading")
@@ -315,9 +331,11 @@ def _joint(name: Header, context: set[str]) -> Role | None:
         if name.has(COMMAND):
             return Role(why="a commanded rate; the schema has none")
         return Role(("joint.w#",), "the rate of a joint")
+    if name.has(ACCELERATION):
+        return Role(why="the acceleration of a joint; the schema has none")
     if name.has({"load"}):
         return Role(("joint.load#",), "a servo's load")
-    if name.has({"enabled", "enable", "torque", "mode", "status"}):
+    if name.has({"enabled", "enable", "torque", "mode", "status", "moving", "fault"}):
         return Role(why="a state, no angle")
     if name.has(COMMAND):
         return Role(("cmd.c#",), "a word for a command")
