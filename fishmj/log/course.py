@@ -43,8 +43,10 @@ NOD, SPIN = 0.1, 10.0  # s, rad/s: no head swings faster than this, by recoil or
 
 def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     """Findings on course over ground against yaw: clockwise, offset, in degrees or turns, of another body."""
+    if bounds.course >= pi:
+        return
     pose = trial.tables.get("pose", {})
-    if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20 and bounds.course < pi:
+    if is_sound(pose, ["t", "x", "y", "yaw"]) and len(pose["t"]) > 20:
         if len(rows := folds(pose)):
             yield (
                 IMPORT,
@@ -71,7 +73,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     off, mirrored = _relation(course - yaw), _relation(course + yaw)
     mean = np.degrees(off[0])
     if turned > TURN:
-        if mirrored[1] < CLEAR and mirrored[1] < off[1] / 3 and bounds.course < pi:
+        if mirrored[1] < CLEAR and mirrored[1] < off[1] / 3:
             zero = np.degrees(mirrored[0])
             name = "a compass counts so, from north" if abs(zero - 90) < 25 else "a frame whose z points down counts so"
             text = (
@@ -81,7 +83,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             )
             yield IMPORT, text
             return
-        for unit, (factor, least, line) in SCALES.items() if off[1] > CLEAR and bounds.course < pi else ():
+        for unit, (factor, least, line) in SCALES.items() if off[1] > CLEAR else ():
             _, _, scaled = _courses(trial, factor) or found
             if _relation(course - scaled)[1] < min(CLEAR, off[1] / 3) and turned > least and np.ptp(scaled) > turned / 2:
                 text = (
@@ -93,7 +95,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
                 return
         whole = np.unwrap(course)
         slope = float(np.polyfit(yaw, whole, 1)[0]) if correlation(yaw, whole) ** 2 > LINEAR else 1.0
-        if max(turned, float(np.ptp(yaw))) > ROUND and off[1] > CLEAR and abs(log(abs(slope))) > RESCALED and bounds.course < pi:
+        if max(turned, float(np.ptp(yaw))) > ROUND and off[1] > CLEAR and abs(log(abs(slope))) > RESCALED:
             text = (
                 f"pose: yaw turns by {np.ptp(yaw):.3g} rad while the course turns by {turned:.3g} rad, all along: is it in"
                 f" another unit, such as a sensor's counts? Values times {slope:.3g} would agree: scale of columns.yaw in the map"
@@ -104,7 +106,7 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         for low, folded in ((0, np.abs(around)), (-90, np.arcsin(np.sin(around)))):
             alike, back = _relation(folded - yaw), float(np.mean(np.cos(folded - around) < 0.9))
             clear = alike[1] < min(CLEAR, off[1] / 3, float(np.std(folded)) / 3) and 1 - MOSTLY < back < MOSTLY
-            if clear and abs(alike[0]) < bounds.course < pi:
+            if clear and abs(alike[0]) < bounds.course:
                 text = (
                     f"pose: yaw turns back where the course goes on, at {low} and {low + 180} deg: it is folded into half a turn,"
                     " as by an arc cosine; expected a full turn. Compute it anew, with atan2 of both components"
@@ -112,14 +114,14 @@ def heading(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
                 yield IMPORT, text
                 return
     ahead = _swims_ahead(trial, begin)
-    if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned and bounds.course < pi:
+    if turned > TURN and ahead and np.ptp(yaw) < bounds.still * turned:
         text = (
             f"pose: yaw stays within {np.degrees(np.ptp(yaw)):.2g} deg while the course turns by {np.degrees(turned):.0f} deg: is"
             " it the heading of the camera or of another body? Name another column, or leave the pose out"
         )
         yield USE, text
         return
-    if ahead and np.ptp(pose["yaw"]) == 0 and bounds.course < pi:
+    if ahead and np.ptp(pose["yaw"]) == 0:
         yield NOTE, f"pose: yaw is {yaw[0]:.3g} rad in every row while the fish beats and makes way: is the heading not measured?"
         return
     astern = abs(off[0]) > bounds.course and off[1] < 2 * CLEAR and float(np.mean(np.cos(course - yaw) < -0.5)) >= MOSTLY

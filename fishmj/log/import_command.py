@@ -17,6 +17,7 @@ from fishmj.base.store.manifest import MANIFEST
 from fishmj.log import importers, measurements, physical_checks, tracked_point
 from fishmj.log.dataset import write_dataset
 from fishmj.log.importers import gather, guess, guessed, other_files, registry, table_forms
+from fishmj.log.importers.column_guess import FileKind
 from fishmj.log.importers.column_map import ColumnMap, read_map, written
 from fishmj.log.importers.convert import convert, go_on, in_order
 from fishmj.log.importers.set_option import UNUSED, overrides, refuse_unknown
@@ -59,7 +60,7 @@ class ImportResult:
     notes: list[str] = field(default_factory=list)
     guesses: guessed.Guesses = field(default_factory=list)
     maps: list[ColumnMap] = field(default_factory=list)
-    page: dict = field(default_factory=dict)
+    page: dict = field(default_factory=dict)  # of weighings, beside the trials
     unsaid: set[str] = field(default_factory=set)  # keys of the meta data that some camera lacks
 
 
@@ -100,9 +101,7 @@ def options() -> console.Parser:
     rule = sub.add_mutually_exclusive_group()
     rule.add_argument("--one-trial", action="store_true", help="the files of one folder are one trial; default: by their columns")
     rule.add_argument("--trial-each", action="store_true", help="every file is a trial; default: by their columns")
-    bad = sub.add_mutually_exclusive_group()
-    bad.add_argument("--strict", action="store_true", help="any bad file ends the import with exit 2 (the default)")
-    bad.add_argument("--skip-bad", action="store_true", help="bad files are left out and listed; default: --strict")
+    add("--skip-bad", action="store_true", help="bad files are left out and listed; default: any ends the import with exit 2")
     add("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
     return sub
 
@@ -127,9 +126,7 @@ def _run(args: Namespace, described: Described) -> int:
     if args.out is not None and args.out.exists():
         raise LogError(f"{args.out}: exists; choose another name for the data set, or remove it first")
     if args.write_map is not None and args.write_map.exists():
-        raise LogError(
-            f"{args.write_map}: exists, and may hold your own lines; choose another name for the map, or remove it first"
-        )
+        raise LogError(f"{args.write_map}: exists, and may hold your own lines; choose another name, or remove it first")
     for source in args.source:
         if args.out is not None and source.is_dir() and args.out.resolve().is_relative_to(source.resolve()):
             raise LogError(f"{args.out}: lies in {source}, which is imported and never changed; choose a place outside")
@@ -218,51 +215,71 @@ def _found(args: Namespace) -> ImportResult:
     found = ImportResult(TABLE)
     items, passed = gather.plan(args.source, cache, together=together)
     found.notes += [*passed, *_changed(args.source)]
-    found.page = _page(args.source)
+    found.page = next((page for source in args.source if source.is_dir() and (page := measurements.read(source))), {})
     mapped = [item for item in items if not item.own and len(item.files) == 1 and cache.mapped(item.files[0])]
-    if mapped:
-        found.format = registry.sniff(mapped[0].files[0])
-    elif args.topics is not None:
+    if args.topics is not None and not mapped:
         raise LogError(
             f"{args.source[0]}: --topics is for MCAP and rosbag2 recordings, and there is none; leave it out, or see --columns"
         )
-    found.trials += [(item.name, partial(_mapped, item, args.topics, cache)) for item in mapped]
-    items = [item for item in items if item not in mapped]
     own = {item.files[0].resolve(): item.name for item in items if item.own}
-    found.trials += [(item.name, partial(gather.read_own, item.files[0], own)) for item in items if item.own]
-    foreign = [item for item in items if not item.own and item.files]
-    unused = next((name for name in stated if name not in cache.left and not (mapped and name in skip)), "")
-    if unused and (args.columns if foreign else mapped or own):
-        which = UNUSED["columns" if foreign else "topics" if mapped else "folders"]
-        raise LogError(f"{args.source[0]}: --set {typed(unused)}: no effect on {which.format(args.columns)}")
+    foreign = [item for item in items if not item.own and item.files and item not in mapped]
     if args.columns:
-        wanted = read_map(args.columns)
-        known = {column for item in foreign for sheet in cache.sheets_of(item) for column in sheet.columns}
-        refuse_unknown(args.columns, wanted.skip if foreign else (), known, "column")
-        found.maps.append(wanted)
-        found.trials += [(item.name, partial(_convert, item, cache, wanted)) for item in foreign]
-    elif foreign:
-        _guessed(foreign, cache, args, found)
-    if found.trials and not foreign and not mapped:
-        found.format = SCHEMA
+        _by_map(foreign, cache, args, found)
+    else:
+        _guessed(foreign, cache, stated, args.out is None, found)
+    kinds = [kind for kinds, _ in found.guesses for kind in kinds]
+    readers = {name: _readers(name, kinds, cache, bool(mapped)) for name in stated}
+    if unused := {name: stated[name] for name, taken in readers.items() if not taken and (foreign or mapped or own)}:
+        if foreign and not args.columns:
+            guess.guess(kinds, unused)  # names the nearest
+        which = UNUSED["columns" if foreign else "topics" if mapped else "folders"].format(args.columns)
+        raise LogError(f"{args.source[0]}: --set {typed(next(iter(unused)))}: no effect on {which}")
+    loads: list[tuple[str, Callable[[], Trial]]] = []
+    for item in mapped:
+        left = {name for name, taken in readers.items() if "topics" in taken} | cache.topics_left.get(item.files[0], set())
+        loads.append((item.name, partial(_mapped, item, args.topics, left)))
+    loads += [(item.name, partial(gather.read_own, item.files[0], own)) for item in items if item.own]
+    found.trials = loads + found.trials
+    if mapped or found.trials and not foreign:
+        found.format = registry.sniff(mapped[0].files[0]) if mapped else SCHEMA
     found.skipped |= cache.skipped
     if not found.trials and not any(guessed.unclear(gs) or args.out is None for _, gs in found.guesses):
         _nothing(args, found)
     return found
 
 
-def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace, found: ImportResult) -> None:
+def _readers(name: str, kinds: Sequence[FileKind], cache: gather.FileCache, mapped: bool) -> set[str]:
+    """Readers that take a name of --set: "columns" of files, "topics" of a recording with a mapping, or "left" out by its name.
+
+    A mapped recording takes what is left out and belongs to no file, and what tells robots apart, which it may hold, too.
+    """
+    if name in cache.left:
+        return {"left"}
+    columns = {"columns"} if any(kind.called(name) for kind in kinds) else set()
+    shared = not columns or table_forms.may_tell_apart(name)
+    return columns | ({"topics"} if mapped and shared and name in cache.skip else set())
+
+
+def _by_map(items: list[gather.Item], cache: gather.FileCache, args: Namespace, found: ImportResult) -> None:
+    """Reads the map of --columns for these files."""
+    wanted = read_map(args.columns)
+    known = {column for item in items for sheet in cache.sheets_of(item) for column in sheet.columns}
+    refuse_unknown(args.columns, wanted.skip if items else (), known, "column")
+    found.maps.append(wanted)
+    found.trials += [(item.name, partial(_convert, item, cache, wanted)) for item in items]
+
+
+def _guessed(items: list[gather.Item], cache: gather.FileCache, stated: dict, no_out: bool, found: ImportResult) -> None:
     """Guesses a column map for every layout of files."""
-    said = overrides(args.set)
     for group in gather.layouts(items, cache).values():
         kinds = guess.kinds(sheet for item in group for sheet in cache.sheets_of(item))
-        here = {name: value for name, value in said.items() if any(kind.called(name) for kind in kinds)}
+        here = {name: value for name, value in stated.items() if any(kind.called(name) for kind in kinds)}
         made = guess.guess(kinds, here)
         where = ", ".join(item.name for item in group[:3]) + (", .." if len(group) > 3 else "")
         try:
             wanted = guessed.map_of(made, kinds, {}, where)
         except LogError as error:
-            if guessed.unclear(made) or args.out is None:
+            if guessed.unclear(made) or no_out:
                 found.guesses.append((kinds, made))
                 found.notes += [] if guessed.unclear(made) else [str(error)]
             else:
@@ -276,14 +293,7 @@ def _guessed(items: list[gather.Item], cache: gather.FileCache, args: Namespace,
             found.notes.append(
                 f"{names}: each begins where the one before ends; --one-trial makes the {len(parts)} files one trial"
             )
-        for item in group:
-            found.trials.append((item.name, partial(_convert, item, cache, wanted)))
-    every = [kind for kinds, _ in found.guesses for kind in kinds]
-    called = {name for name in said if any(kind.called(name) for kind in every)}
-    cache.left |= {name for name in called if not table_forms.may_tell_apart(name)}  # a recording beside may need these, too
-    known = {*called, *cache.left, *(cache.skip if found.format != TABLE else ())}  # that recording tells if it has them
-    if unknown := {name: value for name, value in said.items() if name not in known}:
-        guess.guess(every, unknown)  # names the nearest
+        found.trials += [(item.name, partial(_convert, item, cache, wanted)) for item in group]
 
 
 def _in_format(sources: Sequence[Path], name: str, args: Namespace) -> ImportResult:
@@ -320,9 +330,8 @@ def _line(message: str) -> str:
     return clean if len(clean) <= LONGEST else clean[: LONGEST - 3] + "..."
 
 
-def _mapped(item: gather.Item, topics: Path | None, cache: gather.FileCache) -> Trial:
-    """Reads a recording by its mapping of topics, without what is left out and is not of other files only."""
-    skip = cache.skip - cache.left | cache.topics_left.get(item.files[0], set())
+def _mapped(item: gather.Item, topics: Path | None, skip: set[str]) -> Trial:
+    """Reads a recording by its mapping of topics, without what is left out."""
     return replace(next(iter(importers.read(item.files[0], topics=topics, skip=skip).values())), name=item.name)
 
 
@@ -337,24 +346,15 @@ def _convert(item: gather.Item, cache: gather.FileCache, wanted: ColumnMap) -> T
     return replace(made, notes=(*made.notes, *offsets(made)))
 
 
-def _page(sources: Sequence[Path]) -> dict:
-    """The page of weighings, if one lies beside the trials."""
-    return next((page for source in sources if source.is_dir() and (page := measurements.read(source))), {})
-
-
 def _changed(sources: Sequence[Path]) -> list[str]:
     """Differences from a data set's manifest, one line each."""
     out = []
-    for source in sources:
-        if source.is_dir() and (source / MANIFEST).is_file():
-            try:
-                changes = Manifest.read(source).check(source)
-            except FishmjError as error:
-                out.append(str(error))
-            else:
-                out += [f"{source}: {change}" for change in changes[:3]] + (
-                    [f"and {len(changes) - 3} more"] if len(changes) > 3 else []
-                )
+    for source in (source for source in sources if source.is_dir() and (source / MANIFEST).is_file()):
+        try:
+            changes = [f"{source}: {change}" for change in Manifest.read(source).check(source)]
+        except FishmjError as error:
+            changes = [str(error)]
+        out += [*changes[:3], *([f"and {len(changes) - 3} more"] if len(changes) > 3 else [])]
     return out
 
 
