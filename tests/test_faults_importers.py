@@ -16,13 +16,17 @@ from fishmj.log import importers
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t [s],c1 [deg]\n0,10\n", r"samples.csv:1:7: column 'c1' is in deg; the schema says rad. Multiply the column by pi/180"),
-        ("t [ms],c1\n0,0\n", r"samples.csv:1:1: column 't' is in ms; the schema says s. Divide the column by 1000"),
+        (
+            "t [s],c1 [deg]\n0,10\n",
+            r"samples.csv:1:7: column 'c1' is in deg; the schema says rad. Multiply the column by 0.0174532925",
+        ),
+        ("t [ms],c1\n0,0\n", r"samples.csv:1:1: column 't' is in ms; the schema says s. Multiply the column by 0.001 and"),
         ("t,x [mm],y,yaw\n0,0,0,0\n", r"samples.csv:1:3: column 'x' is in mm; the schema says m"),
         (
             "t,surge (knots)\n0,0\n",
-            r"samples.csv:1:3: column 'surge' is in knots; the schema says m/s. Convert the column to m/s",
+            r"samples.csv:1:3: column 'surge' is in knots; the schema says m/s. Multiply the column by 0.514444444 and",
         ),
+        ("t,surge (BL/s)\n0,0\n", r"samples.csv:1:3: column 'surge' is in BL/s; .* Convert the column to m/s and write"),
         ("t,c1 [rad],c1 (rad)\n0,0,0\n", r"samples.csv:1:12: column 'c1' appears twice"),
         ("t,c1\n0,57.3\n", r"samples.csv:2:3: column 'c1': 57.3 looks like degrees"),
         ("t;c1\n0,02;0,1\n", r"samples.csv:1:2: columns are separated by semicolons .*decimal commas"),

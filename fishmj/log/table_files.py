@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fishmj.base.errors import LogError
+from fishmj.base.calib import parse_toml
+from fishmj.base.errors import ConfigError, LogError
 from fishmj.base.store import read_npz, write_npz, write_text
 from fishmj.log.limits import quoted, regular
 from fishmj.log.trial import Table
@@ -18,7 +19,7 @@ from fishmj.log.trial import Table
 HALF_ERROR = 1e-3  # largest float16 rounding error, relative to the column's standard deviation
 SINGLE_ERROR = 1e-6
 _MARKS = {b"\xef\xbb\xbf": "UTF-8", b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 
 def read_text(path: Path) -> str:
@@ -43,6 +44,19 @@ def read_text(path: Path) -> str:
         ) from error
 
 
+def read_toml(path: Path) -> dict:
+    """Values of a TOML file. Raises LogError: at file:line:column, no text or no TOML."""
+    text = read_text(path)
+    try:
+        return parse_toml(text, str(path))
+    except ConfigError as error:
+        message = str(error).removeprefix(f"{path}: ")
+        found = re.search(r"\(at line (\d+), column (\d+)\)", message) or re.search(r"(?:^|TOML: )line (\d+)()", message)
+        at = f":{found[1]}:{found[2] or 1}" if found else ":1:1"
+        fix = "; text needs quotes, numbers a decimal point" if message.startswith("not valid TOML") else ""
+        raise LogError(f"{path}{at}: {message}{fix}") from error
+
+
 def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
     """Columns as float64 arrays, and a function from (row, column) to file:line:column for later checks.
 
@@ -58,7 +72,7 @@ def read_csv(path: Path) -> tuple[Table, Callable[[int, str], str]]:
             raise LogError(f"{where}: column {k + 1} has no name; the first row must name every column")
         if name in names[:k]:
             raise LogError(f"{where}: column {quoted(name)} appears twice; remove one of them")
-    if all(_NUMBER.fullmatch(name) for name in names):
+    if all(NUMBER.fullmatch(name) for name in names):
         raise LogError(
             f"{path}:{header_line + 1}:1: the first row holds numbers; write the column names there, such as t,j1,j2,j3"
         )
@@ -109,7 +123,7 @@ def _row(path: Path, i: int, line: str, names: list[str]) -> list[float]:
     out = []
     for k, text in enumerate(fields):
         text = text.strip().strip('"')
-        if not _NUMBER.fullmatch(text):
+        if not NUMBER.fullmatch(text):
             what = "is blank" if not text else f"{text[:30]!r} is not a number"
             raise LogError(
                 f"{path}:{i + 1}:{_character(line, k)}: column {quoted(names[k])} {what}; write a plain decimal number, "

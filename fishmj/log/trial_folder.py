@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.calib import parse_toml
-from fishmj.base.errors import ConfigError, FishmjError, LogError, StoreError
+from fishmj.base.errors import FishmjError, LogError, StoreError
 from fishmj.base.plain_file import why_unreadable
 from fishmj.base.store import put_in_place, temporary_beside, write_text
 from fishmj.log import toml, trial_check
 from fishmj.log.limits import listed, quoted
-from fishmj.log.table_files import read_archive, read_csv, read_text, row_place, write_archive, write_csv
+from fishmj.log.table_files import read_archive, read_csv, read_toml, row_place, write_archive, write_csv
 from fishmj.log.trial import SCHEMA, TABLES, Table, Trial
 from fishmj.log.trial_check import Plausible, bounds_of
 from fishmj.log.unread_rows import failed_reads
@@ -173,15 +173,7 @@ def read_meta(path: Path, *, required: bool) -> tuple[dict, list[str]]:
         if required:
             raise LogError(f'{path}: missing; write at least schema = "{SCHEMA}" and origin = "measured" (or "synthetic")')
         return {}, [f"{path.name}: missing; origin, robot and flow are unknown"]
-    text = read_text(path)
-    try:
-        meta = parse_toml(text, str(path))
-    except ConfigError as error:
-        message = str(error).removeprefix(f"{path}: ")
-        found = re.search(r"\(at line (\d+), column (\d+)\)", message) or re.search(r"(?:^|TOML: )line (\d+)()", message)
-        at = f":{found[1]}:{found[2] or 1}" if found else ":1:1"
-        fix = "; text needs quotes, numbers a decimal point" if message.startswith("not valid TOML") else ""
-        raise LogError(f"{path}{at}: {message}{fix}") from error
+    meta = read_toml(path)
     return meta, trial_check.check_meta(meta, str(path))
 
 

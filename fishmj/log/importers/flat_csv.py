@@ -4,27 +4,17 @@ The columns go to the tables of the schema by their names. A unit outside the sc
 apply; so are decimal commas, byte order marks and, by size, degrees without a unit. Nothing is converted silently.
 """
 
+import math
 import re
 from pathlib import Path
 
 from fishmj.base.errors import LogError
+from fishmj.log.importers.column_units import UNITS, measures, unit_of
 from fishmj.log.table_files import read_csv
 from fishmj.log.trial import BY_KIND, Trial, table_spec
 from fishmj.log.trial_folder import FLAT, META_FILE, flat_trial, read_meta
 
 _HEADER = re.compile(r"(?P<name>[^\[\]()]+?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]")
-SPELLED = {
-    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
-    **dict.fromkeys(("sec", "seconds"), "s"),
-    **dict.fromkeys(("metre", "meter", "metres"), "m"),
-}
-FACTORS = {
-    **dict.fromkeys((("deg", "rad"), ("deg/s", "rad/s"), ("°", "rad")), "multiply the column by pi/180"),
-    **dict.fromkeys((("mm", "m"), ("mm/s", "m/s"), ("ms", "s"), ("mV", "V"), ("mA", "A")), "divide the column by 1000"),
-    **dict.fromkeys((("cm", "m"), ("cm/s", "m/s")), "divide the column by 100"),
-    **{("us", "s"): "divide the column by 1e6", ("ns", "s"): "divide the column by 1e9"},
-    ("rpm", "rad/s"): "multiply by 2 pi/60",
-}
 _NAMED = {"t": "s", "t_rx": "s", "V": "V", "I": "A", "frequency": "Hz"}
 
 
@@ -66,11 +56,9 @@ def _check_unit(name: str, unit: str, where: str) -> None:
     table = FLAT.get(name) or FLAT.get(template)
     kind = table_spec(table).kind(name) if table else ""
     expected = _NAMED.get(name) or BY_KIND.get(kind, "")
-    unit = SPELLED.get(unit.lower(), unit)
-    if not unit or not expected or unit == expected:
+    spelled = unit_of(unit)
+    if not unit or not expected or spelled == expected:
         return
-    key = (unit.replace("degrees", "deg").replace("degree", "deg"), expected)
-    fix = FACTORS.get(key, f"convert the column to {expected}")
-    raise LogError(
-        f"{where}: column {name!r} is in {unit}; the schema says {expected}. {fix[0].upper()}{fix[1:]} and write [{expected}]"
-    )
+    factor = UNITS[spelled][1] if measures(spelled) == measures(expected) else math.nan
+    fix = f"Multiply the column by {factor:.9g}" if factor > 0 else f"Convert the column to {expected}"
+    raise LogError(f"{where}: column {name!r} is in {unit}; the schema says {expected}. {fix} and write [{expected}]")

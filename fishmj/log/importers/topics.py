@@ -18,14 +18,12 @@ A field is a path of keys and list indices with dots between. Only units that ar
 at the top reads messages as one robot's whatever this field says.
 """
 
-import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from fishmj.base.calib import parse_toml
-from fishmj.base.errors import ConfigError, LogError
+from fishmj.base.errors import LogError
 from fishmj.log.importers import column_units
-from fishmj.log.table_files import read_text
+from fishmj.log.table_files import read_toml
 from fishmj.log.trial import TABLES
 
 RECEIPT = "log_time"
@@ -83,12 +81,7 @@ def by_name(topics: set[str]) -> Topics:
 def read_topics(path: str | Path) -> Topics:
     """Reads the TOML. Raises LogError: not TOML (line and column), or a key, table or unit that is not known (named)."""
     path = Path(path)
-    try:
-        spec = parse_toml(read_text(path), str(path))
-    except ConfigError as error:
-        found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
-        text = str(error).removeprefix(f"{path}: ")
-        raise LogError(f"{path}:{f'{found[1]}:{found[2]}' if found else '1:1'}: {text}") from error
+    spec = read_toml(path)
     unknown = sorted(set(spec) - {"tables", "meta", "skip"})
     tables, meta = spec.get("tables"), spec.get("meta", {})
     if unknown or not isinstance(tables, dict) or not tables or not isinstance(meta, dict):

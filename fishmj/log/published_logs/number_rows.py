@@ -8,9 +8,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.log.importers.convert import STRAY
-from fishmj.log.table_files import read_text
-
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+from fishmj.log.table_files import NUMBER, read_text
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def _layout(path: Path, line: int, count: int, layouts: tuple[tuple[str, ...], .
 
 def _number(path: Path, line: int, character: int, text: str, name: str) -> float:
     where = f"{path}:{line}:{character}: column {name!r}"
-    if not _NUMBER.fullmatch(text):
+    if not NUMBER.fullmatch(text):
         if re.fullmatch(r"[+-]?\d+,\d+", text, re.ASCII):
             raise LogError(f"{where} has a decimal comma, {text!r}; write {text.replace(',', '.')}")
         raise LogError(f"{where} {f'{text[:30]!r} is not a number' if text else 'is blank'}; write a plain decimal number")
