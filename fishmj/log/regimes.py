@@ -1,7 +1,7 @@
 """Labels the state of a robot in every half second, from the tables alone, without a model.
 
-The labels serve leave-one-regime-out validation, the localisation of a gap, and the search for missing excitation. A window
-carries every label that fits. A missing table removes its labels (`Regimes.known` lists the available ones).
+The labels serve the localisation of a gap. A window carries every label that fits. A missing table removes its labels
+(`Regimes.known` lists the available ones).
 
     rest            joints, command and body stand still
     joint_step      the command jumps within the window
@@ -9,10 +9,8 @@ carries every label that fits. A missing table removes its labels (`Regimes.know
     ramp            the amplitude of the beat grows or falls
     coast           the body moves, the joints do not
     turn            the heading turns, averaged over a beat
-    near_wall       within half a body length of the tank's wall
     torque_limited  far from the command, yet not moving towards it fast
     creep           a joint moves, slower than 5 deg/s
-    reversing_flow  the water comes from behind
 """
 
 import math
@@ -24,7 +22,7 @@ from fishmj.base.errors import LogError
 from fishmj.log.trial import Trial, stacked
 
 LENGTH = 0.5  # s, one window
-LABELS = ("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "near_wall", "torque_limited", "creep", "reversing_flow")
+LABELS = ("rest", "joint_step", "steady_swim", "ramp", "coast", "turn", "torque_limited", "creep")
 # Thresholds, chosen for a fish of half a metre with hobby servos.
 STILL_JOINT = math.radians(1.0)  # rad, peak to peak within a window: a servo's dead band and one count of its encoder
 STILL_BODY = 0.01  # m/s
@@ -35,23 +33,15 @@ CHANGE = 0.25  # of the amplitude, from one beat to the next
 TURNING = 0.2  # rad/s, averaged over a beat
 BEHIND = math.radians(6.0)  # rad between command and joint
 SLUGGISH = 0.5  # rad/s, below this a servo that is far behind is held back
-OCTANTS, SESSIONS = 8, 3
 MEASURED = ("joint", "pose", "velocity", "truth")
 
 
 @dataclass(frozen=True)
 class Regimes:
-    """Labels of W windows. `is_[label]` (W,) bool; octant (W,) 0..7 of the heading (0 = along +x), -1 unknown.
+    """Labels of W windows. start: (W,) s; `is_[label]`: (W,) bool; known: the labels that the tables allow."""
 
-    session (W,) 0..2 thirds of the trial; battery (W,) 0..2 thirds of its own voltage range, -1 unknown.
-    """
-
-    start: np.ndarray  # (W,) s
-    stop: np.ndarray
+    start: np.ndarray
     is_: dict[str, np.ndarray]
-    octant: np.ndarray
-    session: np.ndarray
-    battery: np.ndarray
     known: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -61,28 +51,12 @@ class Regimes:
         """The labels of one window."""
         return tuple(label for label in LABELS if self.is_[label][i])
 
-    def share(self) -> dict[str, float]:
-        """Fraction of the windows that carry each available label."""
-        return {label: float(self.is_[label].mean()) for label in self.known}
 
-    def absent(self) -> tuple[str, ...]:
-        """Available labels of no window: the missing excitation."""
-        return tuple(label for label in self.known if not self.is_[label].any())
-
-    def rows(self, t: np.ndarray, label: str) -> np.ndarray:
-        """(T,) True for stamps in a window of `label`."""
-        index = np.searchsorted(self.start, np.asarray(t, float), side="right") - 1
-        inside = (index >= 0) & (np.asarray(t) < self.stop[np.clip(index, 0, None)])
-        return inside & self.is_[label][np.clip(index, 0, None)]
-
-
-def label(trial: Trial, *, beat: float | None = None, body: float = 0.54, tank: tuple[float, float] | None = None) -> Regimes:
+def label(trial: Trial, *, beat: float | None = None) -> Regimes:
     """Labels the windows of one trial.
 
     Args:
         beat: period of the tail beat, s; None: from the gait table, else 1 s.
-        body: length of the robot, m.
-        tank: half width in x and in y, m, centred on the origin; without it near_wall is not available.
 
     Raises LogError: the trial is shorter than one window.
     """
@@ -95,17 +69,10 @@ def label(trial: Trial, *, beat: float | None = None, body: float = 0.54, tank: 
         raise LogError(f"trial {trial.name or '(in memory)'}: {last - first:.3f} s long; one window takes {LENGTH:g} s")
     start = first + LENGTH * np.arange(count)
     windows = _Windows(trial, start, beat)
-    labels: dict[str, np.ndarray | None] = {
-        **windows.of_command(),
-        **windows.of_joints(),
-        **windows.of_body(),
-        "near_wall": windows.near_wall(tank, body),
-        "reversing_flow": windows.reversing_flow(),
-    }
+    labels = {**windows.of_command(), **windows.of_joints(), **windows.of_body()}
     known = tuple(name for name in LABELS if labels.get(name) is not None)
     is_ = {name: np.zeros(count, bool) if (found := labels.get(name)) is None else found for name in LABELS}
-    session = np.minimum((SESSIONS * np.arange(count)) // count, SESSIONS - 1)
-    return Regimes(start, start + LENGTH, is_, windows.octant(), session, windows.battery(), known)
+    return Regimes(start, is_, known)
 
 
 def _span(trial: Trial) -> tuple[float, float]:
@@ -210,41 +177,6 @@ class _Windows:
             out["rest"], out["coast"] = still & ~fast, still & fast
             out["steady_swim"] &= fast
         return out
-
-    def near_wall(self, tank: tuple[float, float] | None, body: float) -> np.ndarray | None:
-        if self.pose is None or tank is None:
-            return None
-        t, x, y, _ = self.pose
-        room = np.minimum(tank[0] - np.abs(x), tank[1] - np.abs(y))
-        return np.nan_to_num(self._over(t, room, np.min), nan=np.inf) < 0.5 * body
-
-    def reversing_flow(self) -> np.ndarray | None:
-        """Returns True for windows with water from behind: the cosine between flow and heading is above zero."""
-        if self.pose is None:
-            return None
-        speed, towards = self.trial.value("flow.speed"), self.trial.value("flow.direction")
-        if not isinstance(speed, int | float) or not isinstance(towards, int | float) or not speed > 0:
-            return None
-        t, _, _, yaw = self.pose
-        return np.nan_to_num(self._over(t, np.cos(yaw - towards), np.mean, self.beat), nan=-1.0) > 0
-
-    def octant(self) -> np.ndarray:
-        if self.pose is None:
-            return np.full(len(self.start), -1)
-        t, _, _, yaw = self.pose
-        mean = self._over(t, yaw, np.mean, self.beat)
-        turn = np.round(np.nan_to_num(mean) / (2 * math.pi / OCTANTS)).astype(int) % OCTANTS
-        return np.where(np.isnan(mean), -1, turn)
-
-    def battery(self) -> np.ndarray:
-        """Thirds of the voltage range of this trial, 0 lowest; -1 without a power table or with a constant voltage."""
-        table = self.trial.tables.get("power")
-        if table is None or np.ptp(table["V"]) < 0.05:
-            return np.full(len(self.start), -1)
-        volts = self._over(table["t"], table["V"], np.mean)
-        low, high = np.nanmin(volts), np.nanmax(volts)
-        band = np.clip((3 * (volts - low) / max(high - low, 1e-9)), 0, 2.999)
-        return np.where(np.isnan(volts), -1, np.nan_to_num(band).astype(int))
 
 
 def _held(table: tuple[np.ndarray, np.ndarray], t: np.ndarray) -> np.ndarray:
