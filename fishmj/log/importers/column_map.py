@@ -1,20 +1,4 @@
-"""MAP.toml: maps the columns of a lab's file to ours, with their units.
-
-    [meta]
-    robot = "swift"
-    medium = "water"
-
-    [tables.cmd]
-    file = "command*.csv"                     # only if several files have these columns; for recordings, the topic
-    t = { column = "time_ms", unit = "ms" }   # or "time_s"
-    columns = { c1 = { column = "servo1_deg", unit = "deg", sign = -1, zero = 2.4 }, c2 = "servo2_rad" }
-
-    [tables.pose]
-    t = { column = "frame", scale = 0.01 }    # s a frame
-    offset = -1.73                            # s, added to the stamps of this table: its clock is 1.73 s ahead of the others
-    columns.x = { column = "cam_u", unit = "px", scale = 0.0012, zero = 320 }
-    columns.y = { column = "cam_v", unit = "px", scale = 0.0012, zero = 240, sign = -1 }   # rows of a picture count downwards
-    columns.yaw = { constant = 0.0 }
+"""MAP.toml: maps the columns of a lab's file to ours, with their units; docs/search/logs.md shows one.
 
 value = sign * (cell - zero) * scale * unit; zero is in the file's own unit. `skip = ["gripper"]` leaves columns out on purpose.
 """

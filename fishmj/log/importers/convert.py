@@ -359,11 +359,7 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: St
     """Keeps the rows with rising stamps. Single strays and repeats are left out with a note; more are an error."""
     if len(t) < 2 or (np.diff(t) > 0).all():
         return np.arange(len(t)), []
-    ceiling = np.minimum.accumulate(t[::-1])[::-1]
-    floor = np.maximum.accumulate(t)
-    ahead = np.r_[t[:-1] >= ceiling[1:], False]  # later than a row that follows
-    behind = np.r_[False, t[1:] <= floor[:-1]]
-    stray = ahead if ahead.sum() < behind.sum() else behind
+    stray, behind = strays(t)
     first = int(np.flatnonzero(behind)[0])
     step = "stands still" if t[first] == t[first - 1] else "goes back"
     text = f"{sheet.place(int(rows[first]), stamp.column)}: time {step}: {t[first]:.15g} s after {t[first - 1]:.15g} s"
@@ -389,6 +385,13 @@ def _rising(table: str, sheet: Sheet, t: np.ndarray, rows: np.ndarray, stamp: St
         what = "the clock was set back" if stamp.scale == 1.0 else "the count of frames began again, back"
         raise LogError(f"{text}; {what} by {back:.3g} s. Split the file there, or name another column of time")
     return np.flatnonzero(~stray), [f"{table}: {text}; {int(stray.sum())} such row(s) left out"]
+
+
+def strays(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(T,) bool: the fewest rows without which the stamps rise, ahead of the others or behind them; and those behind."""
+    ahead = np.r_[t[:-1] >= np.minimum.accumulate(t[::-1])[::-1][1:], False]  # later than a row that follows
+    behind = np.r_[False, t[1:] <= np.maximum.accumulate(t)[:-1]]
+    return (ahead if ahead.sum() < behind.sum() else behind), behind
 
 
 def _set_back(t: np.ndarray, values: np.ndarray) -> float:
@@ -421,10 +424,7 @@ def _sent_twice(early: np.ndarray, late: np.ndarray) -> bool:
 
 
 def _refuse_pairs(table: str, sheet: Sheet, t: np.ndarray, order: np.ndarray, columns: Table, stamp: str) -> None:
-    """Refuses rows that share a stamp and differ by more than the kept rows do from one stamp to the next: two sources.
-
-    Raises LogError: names the file and the column.
-    """
+    """Raises LogError for rows that share a stamp and differ by more than the kept rows do between stamps: two sources."""
     again = np.flatnonzero(np.diff(t) == 0) + 1
     if len(again) < PAIRS * len(t) or len(order) < 20:
         return
@@ -440,10 +440,7 @@ def _refuse_pairs(table: str, sheet: Sheet, t: np.ndarray, order: np.ndarray, co
 
 
 def _refuse_apart(name: str, stamps: Table) -> None:
-    """Refuses tables of one swim without a common instant; commands may be sent a minute ahead of it.
-
-    Raises LogError: names the tables, and the offset that would align them.
-    """
+    """Raises LogError for tables of one swim without a common instant; commands may be sent a minute ahead of it."""
     for (early, before), (late, after) in permutations(stamps.items(), 2):
         if after[0] - before[-1] > (AHEAD if early == "cmd" else 0.0):
             apart = float(after[0] - before[0])
@@ -456,11 +453,9 @@ def _refuse_apart(name: str, stamps: Table) -> None:
 
 
 def _refuse_short(name: str, stamps: Table, clocks: dict[str, str], least: float) -> None:
-    """Refuses tables on two clocks that share little of the longer one: other units, or other recordings.
+    """Raises LogError for tables on two clocks that share little of the longer one: other units, or other recordings.
 
     Few commands may be followed by a long rest. clocks: of the tables whose offset no map states.
-
-    Raises LogError: names the tables and their spans.
     """
     for short, long in permutations((table for table in stamps if table in clocks), 2):
         one, two = stamps[short], stamps[long]

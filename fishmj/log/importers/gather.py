@@ -1,12 +1,8 @@
 """Assigns files to trials.
 
-- A folder in our own format (meta.toml and tables) is one trial, and is copied.
-- Text tables, Parquet and .npz that lie in one folder are one trial if no two of them have the same columns (commands,
-  camera, battery), and a trial each if all of them have the same. In other cases the user chooses: one trial, or a trial each.
-- A message recording (MCAP, rosbag2) is a trial.
-- With several folders, each trial has its folder's name in front, with as many parents as tell the folders apart.
-- A folder in a folder is treated separately; hidden files and links that lead outside are ignored. So are pictures, films,
-  documents and programs, by name, and text without a table of numbers; data of other programs are refused.
+The table in docs/search/logs.md, "Which files make which trial", states the rules. Hidden files and links that lead outside are
+ignored. So are pictures, films, documents and programs, by name, and text without a table of numbers; data of other programs are
+refused.
 """
 
 from collections import Counter

@@ -13,7 +13,6 @@ from pathlib import Path
 from fishmj.base.errors import LogError
 from fishmj.log.importers import message_recordings
 from fishmj.log.importers.decoding import Found, TopicChannel
-from fishmj.log.importers.message_sheets import listed
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, most_bytes, quoted, regular
 from fishmj.log.trial import SCHEMA, Trial
@@ -42,10 +41,6 @@ def read(path: Path, topics: str | Path | None = None, skip: Collection[str] = (
     wanted = read_topics(topics) if topics else read_topics(beside) if beside.is_file() else None
     own = carried(path) if wanted is None else None  # a file of `log export` says itself what it is
     found = channels(path, {entry.topic for entry in wanted.tables.values()} if wanted else None)
-    if wanted is None:
-        wanted = message_recordings.named_like_tables(found, skip)
-        if not wanted.tables:
-            raise LogError(f"{path}: no topic is named like a table; it has {listed(found)}. Say which is which in {beside.name}")
     return message_recordings.mapped(path, found, wanted, own, skip=skip)
 
 

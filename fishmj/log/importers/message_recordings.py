@@ -50,11 +50,17 @@ class _Read:
 
 
 def mapped(
-    path: Path, found: Found, wanted: Topics, own: dict | None = None, notes: Sequence[str] = (), skip: Collection[str] = ()
+    path: Path,
+    found: Found,
+    wanted: Topics | None,
+    own: dict | None = None,
+    notes: Sequence[str] = (),
+    skip: Collection[str] = (),
 ) -> dict[str, Trial]:
     """Reads one trial, named after the file.
 
     Args:
+        wanted: the mapping; by topics that are named like tables if None.
         own: meta data that the file carries as an export of ours: its stamps are on the trial's own clock.
         notes: remarks of the file's reader.
         skip: topics, and fields that tell robots apart, which the user leaves out, beside those of the mapping.
@@ -62,6 +68,9 @@ def mapped(
     Raises LogError: a topic, field or value does not match the mapping or `skip`, or a topic is left out that may hold data of a
     table; file:topic[message]:field.
     """
+    wanted = wanted or named_like_tables(found, skip)
+    if not wanted.tables:
+        raise LogError(f"{path}: no topic is named like a table; it has {listed(found)}. Say which is which with --topics")
     skip, read = {*skip, *wanted.skip}, {}
     told = _left_out(path, found, wanted, skip) if own is None and wanted.named else []
     for name, entry in wanted.tables.items():

@@ -352,14 +352,11 @@ _TYPED: dict[str, Callable[[dict], dict[str, float]]] = {
 }
 _PLACES = ("pose.position.", "pose.pose.position.", "transform.translation.")
 _SPACE = {f"{p}{axis}": "m" for p in (*_PLACES, "position.", "point.") for axis in "xyz"}
+_PLACED = ("Pose", "PoseStamped", "PoseWithCovarianceStamped", "PointStamped", "TransformStamped")
 _UNITS: dict[str, dict[str, str]] = {  # ROS's own: REP 103
     "sensor_msgs/msg/BatteryState": {"voltage": "V", "current_drawn": "A"},
     "sensor_msgs/msg/Imu": {f"{k}.{axis}": unit for axis in "xyz" for k, unit in (("acc", "m/s^2"), ("gyro", "rad/s"))},
     "nav_msgs/msg/Odometry": {**_SPACE, "surge": "m/s", "sway": "m/s", "yaw_rate": "rad/s"},
     "geometry_msgs/msg/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
-    "geometry_msgs/msg/Pose": _SPACE,
-    "geometry_msgs/msg/PoseStamped": _SPACE,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _SPACE,
-    "geometry_msgs/msg/PointStamped": _SPACE,
-    "geometry_msgs/msg/TransformStamped": _SPACE,
+    **{f"geometry_msgs/msg/{kind}": _SPACE for kind in _PLACED},
 }

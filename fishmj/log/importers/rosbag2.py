@@ -20,7 +20,7 @@ from typing import BinaryIO
 from fishmj.base.errors import LogError
 from fishmj.log.importers import mcap, message_recordings
 from fishmj.log.importers.decoding import Found, TopicChannel
-from fishmj.log.importers.message_sheets import OVERTAKES, listed
+from fishmj.log.importers.message_sheets import OVERTAKES
 from fishmj.log.importers.topics import read_topics
 from fishmj.log.limits import DAMAGE, bare, check_size, quoted, regular
 from fishmj.log.trial import Trial
@@ -52,9 +52,6 @@ def read(path: Path, topics: str | Path | None = None, skip: Collection[str] = (
     wanted = read_topics(topics) if topics else None
     needed = {entry.topic for entry in wanted.tables.values()} if wanted else None
     found = channels(path, needed)
-    wanted = wanted or message_recordings.named_like_tables(found, skip)
-    if not wanted.tables:
-        raise LogError(f"{path}: no topic is named like a table; it has {listed(found)}. Say which is which with --topics")
     return message_recordings.mapped(path, found, wanted, notes=lost(path, found, needed), skip=skip)
 
 

@@ -1,18 +1,4 @@
-"""Maps the topics of a message recording to tables, by a small TOML beside the recording.
-
-    [meta]
-    origin = "measured"
-    robot = "swift"
-
-    [tables.cmd]
-    topic = "/fish/command"
-    t = "publish_time"                        # or "log_time" (the default), or a field
-    columns = { c1 = "position.0", c2 = "position.1" }
-
-    [tables.pose]
-    topic = "/camera/pose"
-    t = { field = "header.stamp", unit = "ns" }
-    columns = { x = "pose.x", y = "pose.y", yaw = { field = "heading", unit = "deg" } }
+"""Maps the topics of a message recording to tables, by a small TOML beside the recording, as in docs/search/logs.md.
 
 A field is a path of keys and list indices with dots between. Only units that are stated here are converted. `skip = ["fish_id"]`
 at the top reads messages as one robot's whatever this field says.

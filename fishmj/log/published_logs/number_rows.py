@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.errors import LogError
-from fishmj.log.importers.convert import STRAY
+from fishmj.log.importers.convert import STRAY, strays
 from fishmj.log.table_files import NUMBER, read_text
 
 
@@ -70,22 +70,17 @@ def without_strays(rows: NumberRows, stamp: str) -> tuple[NumberRows, list[str]]
     Raises LogError: more than one row in a hundred (or the only ones) go back: the clock was set, or the rows are not in order.
     """
     t = rows.column(stamp)
-    ceiling = np.minimum.accumulate(t[::-1])[::-1]  # the smallest stamp from here on: later rows must not fall behind
-    ahead = np.flatnonzero(t[:-1] >= ceiling[1:])
-    behind = np.flatnonzero(t[1:] <= np.maximum.accumulate(t)[:-1]) + 1
-    stray = ahead if len(ahead) < len(behind) else behind
-    if not len(stray):
+    stray, behind = strays(t)
+    if not stray.any():
         return rows, []
-    first = int(behind[0])
+    first = int(np.flatnonzero(behind)[0])
     message = f"{rows.place(first, stamp)}: time goes back: {t[first]:.15g} after {t[first - 1]:.15g}"
-    if len(stray) > max(1, STRAY * len(t)) or len(t) - len(stray) < 2:
+    if stray.sum() > max(1, STRAY * len(t)) or len(t) - stray.sum() < 2:
         raise LogError(
-            f"{message}; {len(stray)} of {len(t)} rows are out of order. "
+            f"{message}; {stray.sum()} of {len(t)} rows are out of order. "
             "Sort the rows by time, or split the file where the clock was set"
         )
-    keep = np.ones(len(t), bool)
-    keep[stray] = False
-    return rows.keep(keep), [f"{message}; {len(stray)} such row(s) left out"]
+    return rows.keep(~stray), [f"{message}; {stray.sum()} such row(s) left out"]
 
 
 def _spans(field: re.Pattern, line: str, separator: str) -> list[tuple[int, str]]:
