@@ -155,7 +155,7 @@ def test_arrays_of_matlab_and_dates_of_numpy_are_read(tmp_path, bring):
     t, joints = 0.02 * N, np.radians(20) * np.stack([WAVE, 0.5 * WAVE])
     dates = np.datetime64("2024-04-08T17:42:36") + (1e3 * t).round().astype("timedelta64[ms]")
     for name, stamps in (("column", t[:, None]), ("row", t[None]), ("date", dates), ("duration", dates - dates[0])):
-        np.savez(tmp_path / f"{name}.npz", time=stamps, cmd=joints, x=t[:, None], y=0 * t, yaw=0 * t[None])
+        np.savez(tmp_path / f"{name}.npz", time=stamps, cmd=joints, x=t[:, None], y=0 * t, yaw=0 * t[None], gain=np.ones((1, 3)))
         assert bring(tmp_path / f"{name}.npz", "--yes", out=tmp_path / name)[0] == 0
         trial = only(tmp_path / name)
         near(trial.table("cmd")["t"], t), near(trial.table("cmd")["c2"], joints[1]), near(trial.table("pose")["x"], t)

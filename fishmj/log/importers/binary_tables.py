@@ -167,7 +167,8 @@ def _numbers(pa, values) -> np.ndarray:
 def read_tables(path: Path) -> list[Sheet]:
     """Reads an `.npz`, or tensors of `torch.save`, as a sheet for each length of its arrays.
 
-    Arrays (T,) become columns, (T, K) become name_1..name_K; texts tell robots or trials apart; others are noted.
+    Arrays (T,), (T, 1) and (1, T) become columns, (T, K) and (K, T) become name_1..name_K, dates and durations s; texts tell
+    robots or trials apart; others are noted.
 
     Raises StoreError: damaged or pickled; LogError: no columns.
     """
@@ -176,7 +177,9 @@ def read_tables(path: Path) -> list[Sheet]:
     found: dict[int, Table] = {}
     texts: dict[str, np.ndarray] = {}
     notes, units = [], {}
-    read = {name: value.ravel() if value.ndim == 2 and 1 in value.shape else value for name, value in read.items()}  # of MATLAB
+    longest = max((max(value.shape, default=0) for value in read.values()), default=0)
+    columnar = lambda value: value.ndim == 2 and 1 in value.shape and value.size == longest  # as MATLAB saves a vector
+    read = {name: value.ravel() if columnar(value) else value for name, value in read.items()}
     lengths = {len(value) for value in read.values() if value.ndim == 1}
     for name, value in read.items():
         if value.ndim == 2 and len(value) not in lengths and value.shape[1] in lengths:

@@ -234,7 +234,7 @@ def _time(name: Header, context: set[str]) -> Role | None:
 
 
 def _aside(name: Header, context: set[str]) -> Role | None:
-    if name.has(ASIDE):
+    if name.has(ASIDE) and not name.has(PULSE):
         return Role(why="a setting, a statistic or a function of a quantity, not the quantity")
     return Role(why="a place, but not the fish's") if name.has(THINGS) and name.has(AXES) else None
 
