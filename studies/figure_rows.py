@@ -73,15 +73,24 @@ def column(rows: Sequence[dict[str, str]], key: str) -> np.ndarray:
     return np.array([float(row[key] or "nan") for row in rows])
 
 
+def summary(rows: Sequence[dict[str, str]]) -> dict[str, float]:
+    """Arrivals, trials, RMSE after arrival with its interval and its worst trial [m], RMSE of the last 20 s [m], power [W]."""
+    arrival, after = column(rows, "arrival"), column(rows, "rmse_after_arrival")
+    found = estimate("rmse_after_arrival", after)
+    last, power = (float(np.nanmean(column(rows, key))) for key in ("rmse_last20", "power"))
+    counts = {"arrivals": float(arrival.sum()), "trials": len(rows)}
+    rmse = {"rmse": found.value, "low": found.low, "high": found.high, "worst": float(np.nanmax(after))}
+    return counts | rmse | {"last": last, "power": power}
+
+
 def judged(label: str) -> list[float]:
     """`station, plain` -> arrivals, trials, RMSE after arrival with its interval, RMSE of the last 20 s, power."""
     name, _, water = label.partition(", ")
     rows = [row for row in table(SOLVED / "judged_reference.csv") if (row["water"], row["controller"]) == (water, name)]
     if water == "plain":
         rows = [row for row in table(SOLVED / "judged_trials.csv") if row["controller"] == name]
-    after = estimate("rmse_after_arrival", column(rows, "rmse_after_arrival"))
-    means = [float(np.nanmean(column(rows, key))) for key in ("rmse_last20", "power")]
-    return [float(column(rows, "arrival").sum()), len(rows), after.value, after.low, after.high, *means]
+    own = summary(rows)
+    return [own[key] for key in ("arrivals", "trials", "rmse", "low", "high", "last", "power")]
 
 
 def ranked(label: str) -> list[float]:
@@ -228,18 +237,17 @@ def other_waters(label: str) -> list[float]:
     wanted = OTHER_WATERS.get(label, [(label.replace("reference", "reference-2"), "9")])
     rows = [row for row in table(HERE / "training" / "rows" / "judged_station_family.csv") if row["controller"] == NAME]
     sets = [[r for r in rows if (r["water"], r["seed"]) == one] for one in wanted]
-    arrived = [(int(column(some, "arrival").sum()), len(some)) for some in sets]
+    found = [summary(some) for some in sets]
+    arrived = [(own["arrivals"], own["trials"]) for own in found]
     if all(count == n for count, n in arrived):
         arrived = [(sum(count for count, _ in arrived), sum(n for _, n in arrived))]
-    after = [estimate("rmse_after_arrival", column(some, "rmse_after_arrival")) for some in sets]
-    rmse = [x.value for x in after] if len(after) > 1 else [after[0].value, after[0].low, after[0].high]
-    last = [float(np.nanmean(column(some, "rmse_last20"))) for some in sets]
+    rmse = [own["rmse"] for own in found] if len(found) > 1 else [found[0][key] for key in ("rmse", "low", "high")]
     speeds = [
         float(np.nanmean(column([r for r in some if r["speed"] == speed], "rmse_after_arrival")))
         for some in sets
         for speed in sorted({r["speed"] for r in some})
     ]
-    worst = [float(np.nanmax(column(some, "rmse_after_arrival"))) for some in sets]
+    last, worst = ([own[key] for own in found] for key in ("last", "worst"))
     return [*(number for pair in arrived for number in pair), *rmse, *last, *speeds, *worst]
 
 
@@ -251,16 +259,10 @@ def seeds(label: str) -> list[float]:
     name = NAME if "ships" in label else f"seed {label}"
     files = SOLVED / "judged_reference.csv", HERE / "training" / "rows" / "judged_station_family.csv"
     rows = [row for file in files for row in table(file) if (row["controller"], row["seed"]) == (name, "9")]
-    by_water = lambda water, key: column([row for row in rows if row["water"] == water], key)
-    after, slippery = by_water("reference-2", "rmse_after_arrival"), by_water("paper slip 0.97", "arrival")
-    found, arrival = estimate("rmse_after_arrival", after), by_water("reference-2", "arrival")
-    others = [
-        float(np.nanmean(by_water(water, "rmse_after_arrival")))
-        for water in ("reference-2, 0 to 0.04 m/s", "paper 1.5 cm slip 0.985")
-    ]
-    last = float(np.nanmean(by_water("reference-2", "rmse_last20")))
-    own = [arrival.sum(), len(arrival), found.value, found.low, found.high, last, float(np.nanmax(after))]
-    return [*own, *others, slippery.sum(), len(slippery)]
+    waters = ("reference-2", "reference-2, 0 to 0.04 m/s", "paper 1.5 cm slip 0.985", "paper slip 0.97")
+    own, slow, cells, slippery = (summary([row for row in rows if row["water"] == water]) for water in waters)
+    figures = [own[key] for key in ("arrivals", "trials", "rmse", "low", "high", "last", "worst")]
+    return [*figures, slow["rmse"], cells["rmse"], slippery["arrivals"], slippery["trials"]]
 
 
 def shapes(label: str) -> list[float]:
