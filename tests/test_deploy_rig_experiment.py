@@ -43,9 +43,7 @@ def lockstep_rig(start=(0.0, 0.0, 0.0), seed=3, **settings):
     link = Fishmj1Link(LockstepTransport(clock))
     localiser = InStep(LockstepCamera(clock), PoseTracker(seed=seed))
     localiser.open()
-    return Rig(
-        robot=robot, link=link, localiser=localiser, clock=clock, examine=open_loop_experiment.unpoliced(link, robot, False)
-    )
+    return Rig.of(wiring.Wired(link, localiser, clock, False), robot, None, said=False, ask=pytest.fail)
 
 
 def played(tmp_path, names, repeats=1, **settings):

@@ -17,7 +17,7 @@ from fishmj.base.calib import constant
 from fishmj.base.errors import ConfigError, UsageError
 from fishmj.base.source import made_by
 from fishmj.control.learned import LearnedController
-from fishmj.deploy.loop import arming, wiring
+from fishmj.deploy.loop import wiring
 from fishmj.deploy.loop.graceful_stop import steering
 from fishmj.deploy.loop.open_loop_experiment import SineGait
 from fishmj.deploy.loop.pilot import Pilot, PlayedPilot, PolicyPilot
@@ -163,11 +163,7 @@ def _swum(
     """Opens all devices, swims, and closes them in every case."""
     with ExitStack() as stack:
         wired = wire(args, robot, stack)
-        at_the_tank = wired.loopback or arming.asked_at_the_tank(wired.link, args.i_am_at_the_tank, console.confirmed)
-        rig = Rig(
-            robot=robot, link=wired.link, localiser=wired.localiser, clock=wired.clock,
-            examine=lambda info: arming.examine(wired.link, info, robot, controller, at_the_tank),
-        )  # fmt: skip
+        rig = Rig.of(wired, robot, controller, args.i_am_at_the_tank, console.confirmed)
         log = stack.enter_context(TrialLog(out, meta_of(args, robot, controller, wired), robot.n_joints))
         if args.ros:
             from fishmj.deploy.link.ros import RosPublisher

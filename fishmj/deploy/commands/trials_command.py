@@ -25,7 +25,7 @@ from fishmj.deploy.commands.swim_command import (
     undisturbed,
     warn_of_training,
 )
-from fishmj.deploy.loop import arming, wiring
+from fishmj.deploy.loop import wiring
 from fishmj.deploy.loop.graceful_stop import steering
 from fishmj.deploy.loop.pilot import PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
@@ -228,17 +228,9 @@ class Walk:
         watched = None if self.watched is None else replace(self.watched, flow=stream)
         with ExitStack() as stack:
             wired = self.wire(given, self.robot, stack)
-            link, clock = wired.link, wired.clock
-            there = wired.loopback or arming.asked_at_the_tank(link, args.i_am_at_the_tank, self.at_the_tank)
-            if not (link.watched or there):
-                raise ConfigError(f"trials: {link.name} has no watchdog; add --i-am-at-the-tank once a person stands there")
-            rig = Rig(
-                robot=self.robot, link=link, localiser=wired.localiser, clock=clock,
-                examine=lambda info: arming.examine(link, info, self.robot, self.controller, there),
-            )  # fmt: skip
+            rig = Rig.of(wired, self.robot, self.controller, args.i_am_at_the_tank, self.at_the_tank, "trials")
             if not args.yes:
-                self.person.hands_off(clock)
-                wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
+                self.person.hands_off(rig)
             meta = {**meta_of(given, self.robot, self.controller, wired), **condition_of(place, water)}
             for warning in target_warnings(place.target, args.bound, wired.calibration):
                 console.warn(warning)
@@ -248,7 +240,7 @@ class Walk:
                 stack.enter_context(LiveMonitor(watched, log, say=status.warn, stopped=self.stop.is_set, process=self.monitor))
             plan = SwimPlan(target=place.target, seconds=seconds, wait=args.wait, bound=args.bound)
             swim = SwimLoop(rig, PolicyPilot(self.controller), plan, log, stop=self.stop.is_set, status=status)
-            with undisturbed(), steering(link, clock, self.stop, self.kept_words):
+            with undisturbed(), steering(wired.link, wired.clock, self.stop, self.kept_words):
                 return swim.run()
 
 

@@ -9,11 +9,12 @@ A fix at a place that the fish cannot have reached is refused and reported as a 
 
 from collections import deque
 from math import pi
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from fishmj.deploy.protocols.messages import Telemetry
+from fishmj.deploy.tracker.fix import Fix
 from fishmj.mjcf.description import Robot
 from fishmj.tasks import station_hold
 
@@ -22,26 +23,6 @@ FASTEST, TURNS = 1.5, 8.0  # m/s, rad/s: beyond any swimming of a fish of half a
 SLACK, TWIST = 0.05, 0.35  # m, rad: noise of two fixes
 MEMORY = 0.2  # s; after a longer pause a fix may be no further away than after this one
 KEPT = 100  # fixes and readings
-
-
-class PoseFix(Protocol):
-    """A pose from the tracker: t time of exposure on the host's clock, s; x, y m; yaw rad, tank frame."""
-
-    @property
-    def t(self) -> float:
-        """Time of exposure, s."""
-
-    @property
-    def x(self) -> float:
-        """x in the tank, m."""
-
-    @property
-    def y(self) -> float:
-        """y in the tank, m."""
-
-    @property
-    def yaw(self) -> float:
-        """Heading in the tank, rad."""
 
 
 class Pose(NamedTuple):
@@ -85,7 +66,7 @@ class ObservationBuilder:
         self._poses.clear()
         self.jumped, self.changed = False, None
 
-    def fix(self, seen: PoseFix, now: float) -> Pose | None:
+    def fix(self, seen: Fix, now: float) -> Pose | None:
         """Adds one fix; returns its pose, or None if it is refused or older than the newest."""
         yaw = seen.yaw
         if not np.isfinite((seen.t, seen.x, seen.y, yaw)).all():

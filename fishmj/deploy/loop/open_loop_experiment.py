@@ -13,14 +13,11 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.base.source import made_by
-from fishmj.deploy.link.links import RobotLink
-from fishmj.deploy.loop.arming import Refusal, examine
 from fishmj.deploy.loop.command_limits import RATE
 from fishmj.deploy.loop.pilot import PlayedPilot
 from fishmj.deploy.loop.supervisor import SwimState
 from fishmj.deploy.loop.swim_loop import Rig, SwimLoop, SwimOutcome, SwimPlan
 from fishmj.deploy.loop.trial_log import TrialLog
-from fishmj.deploy.protocols.messages import RobotInfo
 from fishmj.log import Table, Trial, excitation, read_trial
 from fishmj.log.excitation import LEAD, Excitation
 from fishmj.mjcf.description import Robot
@@ -114,11 +111,6 @@ class SineGait(NamedTuple):
             bound = f"a joint of {robot.name} at {fastest:.3g} at most"
             raise ConfigError(f"gait: {text}, {bound}; take {most:.2g} Hz or less, or a smaller amplitude")
         return excitation.gait(frequency, amplitude, lag, bias, seconds, robot.n_joints, robot.timing.bus_dt)
-
-
-def unpoliced(link: RobotLink, robot: Robot, at_the_tank: bool) -> Callable[[RobotInfo | None], Refusal]:
-    """Function that returns the reasons against arming without a policy: joints, servo range and watchdog, as for a swim."""
-    return lambda info: examine(link, info, robot, None, at_the_tank)
 
 
 def play(

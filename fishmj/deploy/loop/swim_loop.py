@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fishmj.base.errors import ConfigError
+from fishmj.control.learned import LearnedController
 from fishmj.deploy.camera.localiser import Localiser
 from fishmj.deploy.link.links import RobotLink
-from fishmj.deploy.loop.arming import Refusal, servos_at_fault, why_not_armed
+from fishmj.deploy.loop.arming import Refusal, asked_at_the_tank, examine, servos_at_fault, why_not_armed
 from fishmj.deploy.loop.clock import Clock
 from fishmj.deploy.loop.command_limits import Limiter, towards_zero
 from fishmj.deploy.loop.observation import ObservationBuilder
@@ -31,6 +32,7 @@ from fishmj.deploy.loop.supervisor import NONE, Action, Condition, Decision, Sup
 from fishmj.deploy.loop.ticker import Tick, Ticker
 from fishmj.deploy.loop.trial_log import TrialLog
 from fishmj.deploy.loop.watch import ConditionWatch, Thresholds
+from fishmj.deploy.loop.wiring import Wired
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState
 from fishmj.engines import command_latency
 from fishmj.mjcf.description import Robot
@@ -56,6 +58,23 @@ class Rig:
     clock: Clock
     examine: Callable[[RobotInfo | None], Refusal]
     supervisor: Supervisor = field(default_factory=Supervisor)
+
+    @classmethod
+    def of(
+        cls, wired: Wired, robot: Robot, controller: LearnedController | None, said: bool, ask: Callable[[str], bool],
+        session: str = "",
+    ) -> "Rig":  # fmt: skip
+        """Opened devices as a rig that arms for this robot and policy (None: no policy), by the rules of `arming`.
+
+        said, ask: as of `arming.asked_at_the_tank`.
+
+        Raises ConfigError: no watchdog and no person at the tank, named by `session`, whose other swims would not arm either.
+        """
+        link, there = wired.link, wired.loopback or asked_at_the_tank(wired.link, said, ask)
+        if session and not (link.watched or there):
+            raise ConfigError(f"{session}: {link.name} has no watchdog; add --i-am-at-the-tank once a person stands there")
+        arms = lambda info: examine(link, info, robot, controller, there)
+        return cls(robot=robot, link=link, localiser=wired.localiser, clock=wired.clock, examine=arms)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,7 +238,7 @@ class SwimLoop:
             self.log.say(now, f"camera: {failed}")
         for fix in self.rig.localiser.fixes(now):
             if (pose := self.observer.fix(fix, now)) is not None:
-                self.log.fix(pose, float(getattr(fix, "quality", 1.0)))
+                self.log.fix(pose, float(fix.quality))
 
     def decide(self, now: float) -> Decision:
         """Decision of the supervisor from the conditions at `now` [s]."""

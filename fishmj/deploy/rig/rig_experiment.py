@@ -14,10 +14,10 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import Manifest
 from fishmj.deploy.commands.swim_command import flow
-from fishmj.deploy.loop import arming, wiring
+from fishmj.deploy.loop import wiring
 from fishmj.deploy.loop.clock import MonotonicClock
 from fishmj.deploy.loop.graceful_stop import steering
-from fishmj.deploy.loop.open_loop_experiment import REPEATS, SESSIONS, ExperimentRun, meta_of, placing, play, runs, unpoliced
+from fishmj.deploy.loop.open_loop_experiment import REPEATS, SESSIONS, ExperimentRun, meta_of, placing, play, runs
 from fishmj.deploy.loop.swim_loop import Rig, SwimOutcome
 from fishmj.deploy.rig.rig_prompt import Person
 from fishmj.deploy.tracker.fix import Fix
@@ -154,18 +154,11 @@ def _played(
         person.ready(placing(run.what) if args.medium == "water" else "hang the fish by its head, clear of everything")
     with ExitStack() as stack:
         wired = (wire or wiring.wire)(given, robot, stack) if args.medium == "water" else _blind(args, robot, stack)
-        link, clock = wired.link, wired.clock
-        at_the_tank = wired.loopback or arming.asked_at_the_tank(link, args.i_am_at_the_tank, ask)
-        if not (link.watched or at_the_tank):
-            raise ConfigError(f"experiment: {link.name} has no watchdog; add --i-am-at-the-tank once a person stands there")
-        rig = Rig(
-            robot=robot, link=link, localiser=wired.localiser, clock=clock, examine=unpoliced(link, robot, at_the_tank)
-        )  # fmt: skip
+        rig = Rig.of(wired, robot, None, args.i_am_at_the_tank, ask, "experiment")
         meta = meta_of(robot, args.flow, wired.loopback, args.notes or "")
         if not args.yes:
-            person.hands_off(clock)
-            wired.localiser.fixes(clock.now())  # where a hand still moved the fish it jumps
-        with steering(link, clock, stop, words):
+            person.hands_off(rig)
+        with steering(wired.link, wired.clock, stop, words):
             outcome, trial = play(
                 rig, run, folder, meta, medium=args.medium, wait=args.wait, stop=stop.is_set, bound=args.bound or inf
             )

@@ -5,7 +5,7 @@ from typing import TextIO
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
-from fishmj.deploy.loop.clock import Clock
+from fishmj.deploy.loop.swim_loop import Rig
 
 STOP = ("q", "quit", "stop")
 HANDS_OFF = 3  # s from the person's word to torque: both hands out of the water, one at the switch
@@ -32,11 +32,12 @@ class Person:
         """Waits until the person has confirmed a step."""
         self.asked(f"{what}; then press Enter (q stops)")
 
-    def hands_off(self, clock: Clock) -> None:
-        """Counts down before the robot gets torque."""
+    def hands_off(self, rig: Rig) -> None:
+        """Counts down before the robot gets torque; the fixes until then are dropped, for a hand may still move the fish."""
         for left in range(HANDS_OFF, 0, -1):
             console.say(f"hands off: {left}")
-            clock.sleep_until(clock.now() + 1.0)
+            rig.clock.sleep_until(rig.clock.now() + 1.0)
+        rig.localiser.fixes(rig.clock.now())
 
     def number(self, what: str, low: float, high: float, empty: bool = False) -> float | None:
         """A number of a range; asks again until it is valid. empty: Enter alone is None. Raises ConfigError: as `asked`."""
