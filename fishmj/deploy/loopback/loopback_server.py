@@ -50,11 +50,10 @@ class ServeOptions:
     """Options of the server.
 
     Attributes:
-        address: 127.0.0.1, nothing else. port, host_port: 0 lets the system choose. camera: True to draw frames.
+        port, host_port: 0 lets the system choose. camera: True to draw frames.
     """
 
     settings: LoopbackSettings = LoopbackSettings()
-    address: str = LOCAL
     port: int | None = setting(None, PORT, "of the robot; default 2333 of mish, else the system's choice")
     host_port: int | None = setting(None, PORT, "of the host, before it has sent anything; default 6060 of mish, else none")
     camera: bool = setting(True, None, "draw no frames")
@@ -62,8 +61,6 @@ class ServeOptions:
     parent: int | None = setting(None, whole(1, 2**31), "end with this process (default: none)", metavar="PID")
 
     def __post_init__(self):
-        if self.address != LOCAL:
-            raise ConfigError(f"loopback: address {self.address[:60]!r}; a robot without a fish listens on {LOCAL} only")
         if self.settings.body == SOLVER:
             raise ConfigError("loopback: the flow solver is slower than real time; it runs in lockstep only")
         for name in ("port", "host_port"):
@@ -313,7 +310,7 @@ class LoopbackServer:
 def serve(options: ServeOptions) -> dict[str, float]:
     """Serves in real time until Ctrl-C, the end of the time, or of the parent; prints the line above first. Returns the figures.
 
-    Raises ConfigError: another address than 127.0.0.1, a port that is taken, a body that is too slow.
+    Raises ConfigError: a port that is taken, a body that is too slow.
     """
     before = sys.getswitchinterval()
     server = LoopbackServer(options)

@@ -14,8 +14,8 @@ from multiprocessing import shared_memory
 import numpy as np
 
 from fishmj.base.errors import ConfigError, StoreError
+from fishmj.deploy.camera.cameras import MAGIC
 
-MAGIC = 0x464D4A46  # "FMJF"
 FIELDS = 8
 HEADER, SLOT = 8 * FIELDS, 16  # bytes
 SLOTS = 6
