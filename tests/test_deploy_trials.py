@@ -22,7 +22,7 @@ from fishmj.deploy.loop.supervisor import NONE, Condition, SwimState
 from fishmj.deploy.loop.swim_loop import SwimOutcome
 from fishmj.deploy.rig import rig_prompt
 from fishmj.deploy.trials import trials_tables
-from fishmj.deploy.trials.schedule import Session, counts, cut, name_of, order, stream_direction, waters_of
+from fishmj.deploy.trials.schedule import Session, counts, cut, order, stream_direction, waters_of
 from fishmj.evaluate import metrics, protocol, trial_report
 from fishmj.evaluate.trial_report import trials_csv
 from fishmj.log import Trial, read_trial, write_trial
@@ -432,7 +432,7 @@ def test_lockstep_trials_write_tables_and_compare_with_another_water(tmp_path, c
     begin = ["trials", "--policy", "station", "--link", "loopback", "--yes", *words, "--out", str(out)]
     assert deploy.main(begin) == console.OK
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert told["trials"] == sorted(name_of(t) for t in protocol.trials(speeds=[0.1, 0.2], los_deg=[0, 90], repeats=1).items)
+    assert told["trials"] == sorted(t.name for t in protocol.trials(speeds=[0.1, 0.2], los_deg=[0, 90], repeats=1).items)
     assert told["results"][0]["overall"]["power"]["n"] == 4
     trial = read_trial(out / "trials" / "u0.2_los090_r0")
     assert trial.value("condition.los_deg") == 90.0 and trial.meta["flow"]["speed"] == 0.2

@@ -190,7 +190,7 @@ def test_workers_of_a_cluster_get_what_is_not_kept(tmp_path, monkeypatch):
 
 def test_trials_less_than_a_degree_apart_have_files_of_their_own(tmp_path):
     near = trials(speeds=[0.1], los_deg=[0, 0.25, 0.4], repeats=1, duration=1.0)
-    names = [run_trials.name_of(control.make("drift", ROBOT), item) for item in near.items]
+    names = [f"drift_{item.name}" for item in near.items]
     assert names == ["drift_u0.1_los000_r0", "drift_u0.1_los000.25_r0", "drift_u0.1_los000.40_r0"]
     result = run_trials.judge_in_solver(control.make("drift", ROBOT), ROBOT, near, tmp_path, device="cpu")
     assert len(kept(tmp_path)) == 3 == len({trial_logs.name_of(result, i) for i in range(3)})

@@ -12,7 +12,7 @@ from fishmj.control.own_controller import Own
 from fishmj.engines import own_effects, tank_effects
 from fishmj.evaluate import protocol, trial_report
 from fishmj.evaluate.judge_over_ray import judge_over_ray, with_corrections
-from fishmj.evaluate.metrics import Result, compare, summary
+from fishmj.evaluate.metrics import Result, summary
 from fishmj.evaluate.run_trials import KEPT, FinishedTrials, drawn_otherwise, judge_each_in_solver, run
 from fishmj.evaluate.trial_logs import corrections
 from fishmj.lbm_oracle.run.domain import EVERY as BOXES
@@ -327,7 +327,7 @@ def findings(results: list[Result], args) -> dict:
         "command": shlex.join(["fishmj", "evaluate", *args.argv]),
         "results": [summary(r) | trial_report.provenance(r, args.argv, args.controllers, k) for k, r in enumerate(results)],
         **({"hybrid": corrected} if corrected else {}),
-        "paired": [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)],
+        "paired": trial_report.paired_entries(results),
     }
 
 
@@ -340,30 +340,14 @@ def report(results: list[Result], args) -> int:
     try:
         written = args.out and trial_report.write(args.out, results, found, **parts)
     finally:
-        say_tables(results, found["results"])
+        summaries = found["results"]
+        head = [found["condition"], *trial_report.not_as_trained(summaries), *trial_report.failures(results)]
+        trial_report.say_tables(results, summaries, head, summaries)
     if written:
         console.say("", f"wrote {written}")
     if args.json:
         console.emit_json(found)
     return console.OK
-
-
-def say_tables(results: list[Result], summaries: list[dict]) -> None:
-    """Prints the metrics of all controllers."""
-    head = [trial_report.condition(results[0]), *trial_report.not_as_trained(summaries), *trial_report.failures(results)]
-    console.say("", *head, "value (95 % bootstrap interval over trials)", "")
-    console.say(console.table(trial_report.overall(summaries)), "")
-    console.say(*map(console.table, trial_report.energy_rows(summaries)), *trial_report.unbounded(summaries))
-    for s in summaries:
-        for which, what in trial_report.conditions_of(s).items():
-            console.say("", f"{s['controller']} {what}", console.table(trial_report.by_condition(s, which)))
-    for r in results:
-        if r.corrections is not None:
-            console.say("", f"{r.controller}: {trial_report.CORRECTED}", console.table(trial_report.corrected(r)))
-    for other in results[1:]:
-        what = f"{other.controller} minus {results[0].controller}"
-        rows = trial_report.paired(results[0], other)
-        console.say("", f"paired over the same trials: {what}; {trial_report.STARRED}", console.table(rows))
 
 
 if __name__ == "__main__":

@@ -192,8 +192,13 @@ def cross_track(r: Result) -> np.ndarray:
         chord, from_a = np.diff(points, axis=0), r.pose[:, k, None, :2] - points[:-1]
         share = np.clip(np.sum(from_a * chord, -1) / np.sum(chord**2, -1), 0.0, 1.0)
         off[:, k] = np.linalg.norm(from_a - share[..., None] * chord, axis=-1).min(1)
-    tick = np.minimum(np.arange(len(r.t)), r.left[:, None])
-    return np.take_along_axis(off, np.minimum(tick, len(r.t) - 1), 1)
+    return frozen(off, r.left)
+
+
+def frozen(values: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Values (n, T) that stay as they are from the tick `left` (n,) on, at which a trial leaves the domain."""
+    tick = np.minimum(np.arange(values.shape[1]), left[:, None])
+    return np.take_along_axis(values, np.minimum(tick, values.shape[1] - 1), 1)
 
 
 def rms(r: Result, start, end: float) -> np.ndarray:

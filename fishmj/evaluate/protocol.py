@@ -43,6 +43,12 @@ class TrialSpec(NamedTuple):
     repeat: int
     seed: tuple[int, ...]  # (seed, box, speed in 0.1 mm/s, los in 0.01 deg, repeat)
 
+    @property
+    def name(self) -> str:
+        """Name in files, behind the controller's: `u0.2_los045_r1`."""
+        los = round(float(np.degrees(self.los)), 2) % 360  # as exact as its seed
+        return f"u{self.speed:g}_los{f'{los:03.0f}' if los.is_integer() else f'{los:06.2f}'}_r{self.repeat}"
+
     def draw(self, stream: int) -> np.random.Generator:
         """Fresh generator of one of this trial's streams: 0 fish, 1 flow, 2 heading, 3 sensor noise, 4 noise of its log."""
         return np.random.default_rng([*self.seed, stream])

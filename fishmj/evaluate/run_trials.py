@@ -26,7 +26,7 @@ from fishmj.control.learned import LearnedController
 from fishmj.control.policy import Policy
 from fishmj.control.policy_meta import effects_drawn
 from fishmj.evaluate import protocol
-from fishmj.evaluate.metrics import Result
+from fishmj.evaluate.metrics import Result, frozen
 from fishmj.evaluate.protocol import Trials
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
@@ -128,7 +128,6 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
     left = np.where(out.any(1), out.argmax(1), pose.shape[1])
     t = np.arange(pose.shape[1]) * robot.timing.bus_dt
     distance = np.linalg.norm(pose[:, :, :2] - trials.targets(t), axis=-1)
-    tick = np.minimum(np.arange(pose.shape[1]), left[:, None])
     name, hybrid = engines.name_of(engine), getattr(engine, "hybrid", None)
     return Result(
         controller=controller.name,
@@ -147,7 +146,7 @@ def _result(controller, robot, trials, engine, start, target, rows) -> Result:
         command=join(5),
         obs=join(6),
         action=None if rows[0][7] is None else join(7),
-        distance=np.take_along_axis(distance, np.minimum(tick, pose.shape[1] - 1), 1),
+        distance=frozen(distance, left),
         left=left,
         corrections=None if hybrid is None else np.array([json.dumps(hybrid.report(i)) for i in range(len(start))]),
     )
@@ -331,7 +330,7 @@ def judge_each_in_solver(
     box: dict[str, Any] = {"domain": water.domain, "slip": water.slip, "finer": variation.finer} | water.immersed
     box |= {"dx": water.dx, "nu": water.nu}
     keys = [(k, i) for k in range(len(brains)) for i in range(len(trials))]
-    names = {(k, i): name_of(brains[k], trials.items[i]) for k, i in keys}
+    names = {(k, i): f"{brains[k].name}_{trials.items[i].name}" for k, i in keys}
     paths: dict[tuple[int, int], Path] = {}
     if folder is not None:
         labels = ["_".join(filter(None, (fingerprint(brain, robot, trials, water), variation.name))) for brain in brains]
@@ -463,12 +462,6 @@ def merged(brain, robot: Robot, trials: Trials, engine: str, rows: list[dict]) -
         target=target,
         **join,
     )
-
-
-def name_of(brain, item) -> str:
-    """File name of one trial: `dob_u0.2_los045_r1`."""
-    los = round(float(np.degrees(item.los)), 2)  # as exact as its seed
-    return f"{brain.name}_u{item.speed:g}_los{f'{los:03.0f}' if los.is_integer() else f'{los:06.2f}'}_r{item.repeat}"
 
 
 def fingerprint(brain, robot: Robot, trials: Trials, water: "SolverWater") -> str:

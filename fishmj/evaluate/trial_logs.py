@@ -81,9 +81,7 @@ def _targets(r: Result, i: int, decisions) -> dict:
 
 def name_of(r: Result, i: int) -> str:
     """Folder name of trial i: `dob_u0.2_los045_r1`."""
-    t = r.trials.items[i]
-    los = round(float(np.degrees(t.los)), 2) % 360
-    return f"{r.controller}_u{t.speed:g}_los{f'{los:03.0f}' if los.is_integer() else f'{los:06.2f}'}_r{t.repeat}"
+    return f"{r.controller}_{r.trials.items[i].name}"
 
 
 def write_logs(r: Result, folder: Path) -> list[Path]:

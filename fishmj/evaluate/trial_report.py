@@ -213,6 +213,28 @@ def paired(first: Result, second: Result, keys=MAIN) -> list[dict]:
     return rows
 
 
+def paired_entries(results: list[Result]) -> list[dict]:
+    """Differences of all figures between the first controller and each of the others, for results.json."""
+    a = results[0]
+    return [{"a": a.controller, "b": b.controller, **d._asdict()} for b in results[1:] for d in compare(a, b)]
+
+
+def say_tables(results: list[Result], summaries: list[dict], head: Sequence[str], in_detail: Sequence[dict]) -> None:
+    """Prints lines above, the figures of all controllers, those `in_detail` by condition, and differences from the first."""
+    console.say("", *head, "value (95 % bootstrap interval over trials)", "")
+    console.say(console.table(overall(summaries)), "")
+    console.say(*map(console.table, energy_rows(summaries)), *unbounded(summaries))
+    for s in in_detail:
+        for which, what in conditions_of(s).items():
+            console.say("", f"{s['controller']} {what}", console.table(by_condition(s, which)))
+    for r in results:
+        if r.corrections is not None:
+            console.say("", f"{r.controller}: {CORRECTED}", console.table(corrected(r)))
+    for other in results[1:]:
+        what = f"{other.controller} minus {results[0].controller}"
+        console.say("", f"paired over the same trials: {what}; {STARRED}", console.table(paired(results[0], other)))
+
+
 def write(
     folder: Path,
     results: list[Result],

@@ -269,6 +269,8 @@ def tables(
     places: Sequence[Place],
 ) -> int:
     """Judges the accepted trials; prints the tables and writes files into the session's folder. Returns the exit code."""
+    from fishmj.evaluate import trial_report
+
     logs: dict[str, Trial] = session.read(places)
     simulated = bool(session.what.get("simulated"))
     engine = trials_tables.LOOPBACK if simulated else trials_tables.TANK
@@ -280,7 +282,8 @@ def tables(
     notes = [*trials_tables.lacking(own, logs, len(places)), *trials_tables.waters_beside(given)]
     replay = trials_tables.worst_replay(session.folder, own, places, args.robot)
     found, lacks = trials_tables.written(session.folder, results, notes, plots=args.plots, replay=replay)
-    trials_tables.shown(results, found)
+    summaries = found["results"]
+    trial_report.say_tables(results[: len(summaries)], summaries, [found["condition"]], summaries[:1])
     for line in lacks:
         console.warn(line)
     console.say("", f"wrote {session.folder / 'report.html'}")

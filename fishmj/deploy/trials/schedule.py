@@ -38,11 +38,6 @@ class Place(NamedTuple):
     target: tuple[float, float]
 
 
-def name_of(spec: TrialSpec) -> str:
-    """`u0.2_los045_r1`, as `evaluate` names trials behind the controller."""
-    return f"u{spec.speed:g}_los{round(np.degrees(spec.los)) % 360:03d}_r{spec.repeat}"
-
-
 def order(trials: Trials) -> list[Place]:
     """Every trial with its place, in the order of execution."""
     start, target = trials.ends()
@@ -51,7 +46,7 @@ def order(trials: Trials) -> list[Place]:
     for k in sorted(range(len(trials)), key=key):
         x, y, yaw = start[k].tolist()
         spec = trials.items[k]
-        made.append(Place(name_of(spec), spec, k, (x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw)))), tuple(target[k].tolist())))
+        made.append(Place(spec.name, spec, k, (x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw)))), tuple(target[k].tolist())))
     return made
 
 

@@ -21,7 +21,7 @@ from fishmj.base import console
 from fishmj.base.calib import robot_called
 from fishmj.base.errors import ConfigError, LogError, MissingExtra, StoreError
 from fishmj.base.store import read_json, write_text
-from fishmj.deploy.trials.schedule import KEPT, Place, name_of
+from fishmj.deploy.trials.schedule import KEPT, Place
 from fishmj.evaluate import metrics
 from fishmj.evaluate.metrics import UNITS, Result
 from fishmj.evaluate.protocol import MeasuredTrials, Trials, measured
@@ -61,9 +61,7 @@ def result_of(
     arrays: dict[str, Any] = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
     target = np.array([place.target for place in there])
     away = np.linalg.norm(arrays["pose"][:, :, :2] - target[:, None], axis=-1)
-    frozen = np.minimum(np.arange(len(t)), arrays["left"][:, None])
-    distance = np.take_along_axis(away, np.minimum(frozen, len(t) - 1), 1)
-    action = arrays.pop("action")
+    distance, action = metrics.frozen(away, arrays["left"]), arrays.pop("action")
     return Result(
         controller=name, policy_sha256=sha256, robot=robot, trials=some, engine=engine, t=t, target=target, distance=distance,
         action=None if np.isnan(action).all() else action, **arrays,
@@ -149,8 +147,7 @@ def beside(folder: Path, policy: str, own: Result) -> Result:
     if series := _series(folder / "logs", policy, own):
         ticks = np.where(gone, np.round(np.nan_to_num(away) / own.robot.timing.bus_dt).astype(int), len(own.t))
         away_from = np.linalg.norm(series["pose"][:, :, :2] - own.target[:, None], axis=-1)
-        frozen = np.minimum(np.minimum(np.arange(len(own.t)), ticks[:, None]), len(own.t) - 1)
-        return made._replace(**series, left=ticks, distance=np.take_along_axis(away_from, frozen, 1))
+        return made._replace(**series, left=ticks, distance=metrics.frozen(away_from, ticks))
     times = np.unique(away[gone])
     return made._replace(t=times, left=np.where(gone, np.searchsorted(times, away), len(times)))
 
@@ -167,7 +164,7 @@ def _training(folder: Path, policy: str) -> dict | None:
 
 def _series(logs: Path, policy: str, own: Result) -> dict[str, Any]:
     """True poses and rates (n, T + 1, 3) from the logs of `evaluate --log`, turned into the tank's stream; {} if one lacks."""
-    names = [f"{policy}_{name_of(spec)}" for spec in own.trials.items]
+    names = [f"{policy}_{spec.name}" for spec in own.trials.items]
     if not all((logs / name / META_FILE).is_file() for name in names):
         return {}
     poses, velocities = [], []
@@ -229,11 +226,7 @@ def written(
     found: dict[str, Any] = {"condition": condition(results[0], notes), "robot": robot_names(results[0].robot)}
     found["results"] = [metrics.summary(r) for r in results]
     try:
-        pairs = [
-            {"a": results[0].controller, "b": b.controller, **d._asdict()}
-            for b in results[1:]
-            for d in metrics.compare(results[0], b)
-        ]
+        pairs = trial_report.paired_entries(results)
     except ModuleNotFoundError as error:  # the host beside the tank: the robot's own figures stand without it
         lacks.append(f"no comparison with other waters: {error.name} is not installed on this computer")
         results, pairs = results[:1], []
@@ -271,20 +264,3 @@ def worst_replay(out: Path, result: Result, places: Sequence[Place], robot: str)
     name = next(place.name for place in places if place.spec == spec)
     own = [] if robot_called(robot) else ["--robot", robot]
     return shlex.join(["fishmj", "replay", str(out / KEPT / name), *own])
-
-
-def shown(results: list[Result], found: dict[str, Any]) -> None:
-    """Prints the tables of `evaluate`."""
-    from fishmj.evaluate import trial_report
-
-    summaries = found["results"]
-    console.say("", found["condition"], "value (95 % bootstrap interval over trials)", "")
-    console.say(console.table(trial_report.overall(summaries)), "")
-    console.say(
-        console.table(trial_report.overall(summaries, ("arrival", *trial_report.REST))), *trial_report.unbounded(summaries)
-    )
-    for which, what in (("by_speed", "by flow speed"), ("by_los", "by direction (0 = target straight upstream)")):
-        console.say("", f"{summaries[0]['controller']} {what}", console.table(trial_report.by_condition(summaries[0], which)))
-    for other in results[1 : len(summaries)]:
-        about = f"paired over the same trials: {other.controller} minus {results[0].controller}; {trial_report.STARRED}"
-        console.say("", about, console.table(trial_report.paired(results[0], other)))
