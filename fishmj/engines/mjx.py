@@ -31,9 +31,9 @@ class MjxEngine(Copied):
 
     jittable = True
 
-    def __init__(self, robot: "Robot | str" = "fish", unroll: int = 1):
-        self.robot, self.unroll = load_robot(robot), unroll
-        self.arguments = self.robot, unroll
+    def __init__(self, robot: "Robot | str" = "fish"):
+        self.robot = load_robot(robot)
+        self.arguments = (self.robot,)
         self.chain, self.added = planar_chain.chain_of(self.robot), Extensions.of(self.robot)
         model = mjcf.build(self.robot, bare=True)
         self.model, self.blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
@@ -69,7 +69,7 @@ class MjxEngine(Copied):
                 return (q, v, s.attached, stacked(jnp, s.memory, memory), power + s.power), None
 
             start = (q, v, attached, memory, jnp.zeros_like(attached))
-            (q, v, attached, memory, power), _ = lax.scan(one_step, start, targets, unroll=self.unroll)
+            (q, v, attached, memory, power), _ = lax.scan(one_step, start, targets)
             out = Trace(q[:, :3], q[:, 3:] - params.zero, v[:, 3:], v[:, :3], power / self.steps)
             return (q, v, attached, buffer, memory, tick + 1), out
 
