@@ -349,6 +349,11 @@ def holm(p) -> np.ndarray:
     return adjusted
 
 
+def mean_of_known(x: np.ndarray) -> float:
+    """Mean of figures (n,) without NaN; NaN if there is none."""
+    return float(np.mean(x[np.isfinite(x)])) if np.isfinite(x).any() else float("nan")
+
+
 def resampled(x) -> np.ndarray:
     """(RESAMPLES, n) draws with replacement, the same for every key and controller of n trials."""
     return x[np.random.default_rng(SEED).integers(len(x), size=(RESAMPLES, len(x)))]

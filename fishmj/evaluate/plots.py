@@ -12,7 +12,7 @@ from fishmj.base.calib import constant
 from fishmj.base.figures import BLUE, GREEN, GREY, OPEN, ORANGE, PURPLE, SKY, VERMILION, canvas, save, style
 from fishmj.base.pages import drawn
 from fishmj.base.units import wrap
-from fishmj.evaluate.metrics import Result, beat_mean, figures
+from fishmj.evaluate.metrics import Result, beat_mean, figures, mean_of_known
 from fishmj.evaluate.protocol import ANGLE, EIGHT, HOLD
 from fishmj.tasks.reference import eight, path_length
 
@@ -126,7 +126,7 @@ def radar_figure(results: list[Result]):
 def _means(values, r: Result, speed: float) -> np.ndarray:
     """Means of a figure (n,) over the trials that have it, at one speed, in each direction; NaN if there are none."""
     some = [values[(r.trials.speed == speed) & (r.trials.los == b)] for b in np.unique(r.trials.los)]
-    return np.array([np.mean(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan for x in some])
+    return np.array([mean_of_known(x) for x in some])
 
 
 def _ceiling(found, key: str, results) -> float:

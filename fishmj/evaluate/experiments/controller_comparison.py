@@ -276,9 +276,8 @@ def maps(rows: dict[str, Row]) -> bytes:
     cells = [(u, b) for u in np.unique(speed) for b in np.unique(los)]
     figure, axes = canvas(1, len(RADAR), (15, 0.3 * len(rows) + 1.8), sharey=True)
     for axis, (key, title) in zip(axes[0], RADAR, strict=True):
-        values = np.array(
-            [[_mean(read(row["figures"][key])[(speed == u) & (los == b)]) for u, b in cells] for row in rows.values()]
-        )
+        given = [read(row["figures"][key]) for row in rows.values()]
+        values = np.array([[metrics.mean_of_known(x[(speed == u) & (los == b)]) for u, b in cells] for x in given])
         some = values[np.isfinite(values)]
         norm = (LogNorm if key in LOGARITHMIC else Normalize)(*((some.min(), some.max()) if len(some) else (0.1, 1.0)))
         seen = axis.imshow(values, aspect="auto", cmap="viridis", norm=norm)
@@ -292,11 +291,6 @@ def maps(rows: dict[str, Row]) -> bytes:
         for k in range(1, len(every)):
             axis.axvline(k * wide - 0.5, color="white", linewidth=2)
     return png(figure)
-
-
-def _mean(x: np.ndarray) -> float:
-    """Mean of the trials that have the figure; NaN, drawn grey, if none has."""
-    return float(np.mean(x[np.isfinite(x)])) if np.isfinite(x).any() else float("nan")
 
 
 @style(STYLE)
