@@ -68,7 +68,10 @@ SHORT = 3.0  # s, of the segment from the surrogate's state half-way
 
 
 class Surrogate(SingleFish):
-    """One fish in the strip water, by bus ticks, for roll-outs of a policy. water: coefficients. learnt: a residual, or None."""
+    """One fish in the strip water, by bus ticks, for roll-outs of a policy. water: coefficients. learnt: a residual, or None.
+
+    A `Drive` reads its state as that of a `Run`.
+    """
 
     def __init__(
         self, robot: Robot, ch: planar_chain.Chain, water: strip_forces.Coefficients, *, learnt=None, pose=(0.0, 0.0, 0.0)
@@ -92,32 +95,25 @@ class Surrogate(SingleFish):
             self.q, self.v = np.array(s.q), np.array(s.v)
         self.ticks += 1
 
+    @property
+    def pose(self) -> np.ndarray:
+        """Pose and rates (x, y, yaw, x', y', yaw') of the reference point, m and rad."""
+        return np.concatenate([self.q[:3], self.v[:3]])
+
+    def angles(self) -> np.ndarray:
+        """Joint angles (J,) rad."""
+        return self.q[3:].copy()
+
+    def rates(self) -> np.ndarray:
+        """Joint rates (J,) rad/s."""
+        return self.v[3:].copy()
+
 
 class Rollout(NamedTuple):
     """One episode in the surrogate: states after every tick, (T, 3 + J)."""
 
     q: np.ndarray
     v: np.ndarray
-
-
-class PolicyDriver:
-    """The attributes of a `Run` that a `Drive` reads, for a surrogate."""
-
-    def __init__(self, fish: Surrogate):
-        self.fish = fish
-
-    @property
-    def pose(self) -> np.ndarray:
-        """Pose and rates (x, y, yaw, x', y', yaw') of the reference point, m and rad."""
-        return np.concatenate([self.fish.q[:3], self.fish.v[:3]])
-
-    def angles(self) -> np.ndarray:
-        """Joint angles (J,) rad."""
-        return self.fish.q[3:].copy()
-
-    def rates(self) -> np.ndarray:
-        """Joint rates (J,) rad/s."""
-        return self.fish.v[3:].copy()
 
 
 def roll_out(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
@@ -127,12 +123,11 @@ def roll_out(robot: Robot, model: HydroModel, segment: Segment) -> Rollout:
         fish.v[:] = segment.velocity
     if segment.joints:
         fish.q[3:], fish.commands[0] = segment.joints, np.array(segment.joints)
-    driver, moved = PolicyDriver(fish), drive(segment, robot)
-    states = []
+    moved, states = drive(segment, robot), []
     before, end = ticks_of(segment, robot)
     for k in range(end):
         now = flow_at_links(segment.flow, robot, fish.q[None], np.array([k * robot.timing.bus_dt]))[0]
-        fish.tick(moved.command(k, driver), now)
+        fish.tick(moved.command(k, fish), now)
         states.append((fish.q.copy(), fish.v.copy()))
     q, v = (np.array(column) for column in zip(*states[before:], strict=True))
     return Rollout(q, v)
