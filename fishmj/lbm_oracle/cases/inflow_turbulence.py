@@ -12,6 +12,7 @@ import numpy as np
 
 from fishmj.base.calib import constant
 from fishmj.lbm_oracle.cases import about, register, reported
+from fishmj.lbm_oracle.cases.maps import autocorrelation
 from fishmj.lbm_oracle.fluid.domain_faces import channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
@@ -27,12 +28,7 @@ def figures(u: np.ndarray, interval: float, speed: float) -> tuple[np.ndarray, f
     """RMS of each component [m/s] (3,) and integral length along the stream [m] of records u (T, P, 3), stream along x."""
     part = u - u.mean(0)
     rms = np.sqrt(np.mean(part**2, (0, 1)))
-    n = len(part)
-    spectrum = np.abs(np.fft.rfft(part[:, :, 0], 2 * n, axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum, axis=0)[:n].sum(1) / (n - np.arange(n))
-    correlation /= correlation[0]
-    zero = int(np.argmax(correlation < 0)) or n
-    return rms, float(np.sum(correlation[:zero]) - 0.5) * interval * speed
+    return rms, float(np.sum(autocorrelation(part[:, :, 0])) - 0.5) * interval * speed
 
 
 def record(flow: Flow, device: str) -> tuple[np.ndarray, np.ndarray]:

@@ -64,12 +64,17 @@ def average(record) -> Average:
         return Average(mean, np.nan, 0.0, 1.0)
     if rms <= 1e-12 * max(abs(mean), 1e-300):  # a constant has no error and no time scale
         return Average(mean, 0.0, rms, float(n))
-    spectrum = np.abs(np.fft.rfft(part, 2 * n)) ** 2
-    correlation = np.fft.irfft(spectrum)[:n] / np.arange(n, 0, -1)
-    correlation /= correlation[0]
-    zero = int(np.argmax(correlation < 0)) or n
-    steps = max(2 * float(correlation[:zero].sum()) - 1, 1.0)  # 2 T_c in steps
+    steps = max(2 * float(autocorrelation(part).sum()) - 1, 1.0)  # 2 T_c in steps
     return Average(mean, rms * np.sqrt(min(steps / n, 1.0)), rms, n / steps)
+
+
+def autocorrelation(part: np.ndarray) -> np.ndarray:
+    """Autocorrelation of deviations from a mean (T,), or of several records (T, P) together, from 1 to before its first zero."""
+    n = len(part)
+    spectrum = np.abs(np.fft.rfft(part.reshape(n, -1), 2 * n, axis=0)) ** 2
+    found = np.fft.irfft(spectrum, axis=0)[:n].sum(1) / np.arange(n, 0, -1)
+    found /= found[0]
+    return found[: int(np.argmax(found < 0)) or n]
 
 
 class Load(NamedTuple):
