@@ -178,6 +178,3 @@ class FieldRecorder:
             vtk.write_series(self.folder / SERIES, self.series)
         self.frames += 1
         return True
-
-    def close(self) -> None:
-        """Closes the figure."""

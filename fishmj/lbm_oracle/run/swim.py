@@ -130,8 +130,6 @@ def drive(
                 break
             if n < ticks:
                 bar.update(run.time, speed=float(np.hypot(*run.pose[3:5])))
-    if recorder:
-        recorder.close()
     return time.perf_counter() - start
 
 
