@@ -15,9 +15,10 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.link.links import Fishmj1Link, Sent
-from fishmj.deploy.loop.wiring import PROTOCOLS, Wired
+from fishmj.deploy.loop.wiring import Wired
 from fishmj.deploy.loopback.lockstep import FixNoise, LockstepClock, LockstepTransport, wired
 from fishmj.deploy.loopback.robot import LoopbackRobot
+from fishmj.deploy.protocols import PROTOCOLS
 from fishmj.mjcf.description import Robot
 
 

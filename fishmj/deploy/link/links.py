@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fishmj.deploy.link.transports import Transport
-from fishmj.deploy.protocols import fishmj1, mish
+from fishmj.deploy.protocols import PROTOCOLS, fishmj1, mish
 from fishmj.deploy.protocols.messages import RobotInfo, Telemetry
 from fishmj.deploy.protocols.protocol_error import ProtocolError
 from fishmj.deploy.protocols.sequence import SequenceGate
@@ -224,3 +224,10 @@ class MishLink(TransportLink):
             except ProtocolError:
                 self.counts["bad"] += 1
         return found
+
+
+def datagram_link(protocol: str, transport: Transport) -> RobotLink:
+    """The link, not opened yet, that speaks one of `PROTOCOLS` in datagrams."""
+    if protocol == PROTOCOLS[0]:
+        return Fishmj1Link(transport)
+    return MishLink(transport, "fixed" if protocol == "mish-fixed" else "mish-0.1.0")

@@ -28,11 +28,11 @@ from fishmj.base.processes import end_command, last_words, start_command
 from fishmj.base.store import temporary_beside
 from fishmj.deploy.camera.cameras import Camera, Device, SharedFrames, VideoFile
 from fishmj.deploy.camera.localiser import InProcess, Localiser
-from fishmj.deploy.link.links import Fishmj1Link, MishLink, RobotLink
+from fishmj.deploy.link.links import RobotLink, datagram_link
 from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.link.transports import UdpTransport, open_serial
 from fishmj.deploy.loop.clock import Clock, MonotonicClock
-from fishmj.deploy.protocols import mish
+from fishmj.deploy.protocols import PROTOCOLS, SERVO_BUS, mish
 from fishmj.deploy.protocols.servo_bus import BUSES
 from fishmj.deploy.tracker.calibration import Calibration
 from fishmj.deploy.tracker.colour import PAPER_FISH, Bands, ColourTracker, Paint
@@ -41,8 +41,6 @@ from fishmj.mjcf import geometry_of, servo_buses
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 
-SERVO_BUS = "servo-bus"
-PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
 STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
 ENDS = 5.0  # s that it may take to end
@@ -198,11 +196,9 @@ def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> R
         host, port = address(mish.ROBOT_PORT if is_mish else PORTS[args.protocol])(where.removeprefix("//"))
         listen = mish.HOST_PORT if is_mish else 0
     transport = UdpTransport(host, port, clock, args.host_port if args.host_port is not None else listen)
-    if args.protocol == PROTOCOLS[0]:
-        return Fishmj1Link(transport)
-    if robot.n_joints != mish.JOINTS:
+    if args.protocol != PROTOCOLS[0] and robot.n_joints != mish.JOINTS:
         raise ConfigError(f"{args.protocol} carries {mish.JOINTS} joints, {robot.name} has {robot.n_joints}; take fishmj-1")
-    return MishLink(transport, "fixed" if args.protocol == "mish-fixed" else "mish-0.1.0")
+    return datagram_link(args.protocol, transport)
 
 
 def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], Any]) -> ServoBusLink:

@@ -15,7 +15,7 @@ from typing import Protocol
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.deploy.loopback.loopback_servos import LoopbackServos
 from fishmj.deploy.loopback.readings import Readings
-from fishmj.deploy.protocols import fishmj1, mish, servo_counts
+from fishmj.deploy.protocols import PROTOCOLS, SERVO_BUS, fishmj1, mish, servo_counts
 from fishmj.deploy.protocols.firmware_guard import Bounds, Guard
 from fishmj.deploy.protocols.messages import RobotInfo, RobotState, Telemetry
 from fishmj.deploy.protocols.protocol_error import ProtocolError
@@ -25,8 +25,6 @@ from fishmj.deploy.protocols.watchdog import Limits, Watchdog
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import structure_of
 
-SERVO_BUS = "servo-bus"  # no microcontroller: the host speaks to the servos themselves
-PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)
 NAME = "fishmj-loopback-1"
 PERIOD = 0.02  # s between two readings of the servos, and two packets of telemetry
 HOLD, NEUTRAL = 0.1, 0.3  # s, what INFO says before a host asks for others

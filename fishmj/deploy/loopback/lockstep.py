@@ -26,14 +26,14 @@ import numpy as np
 from fishmj.base.calib import calib_folder, constant, read_toml
 from fishmj.base.errors import UnknownName
 from fishmj.deploy.camera.localiser import InStep
-from fishmj.deploy.link.links import Fishmj1Link, MishLink, RobotLink
+from fishmj.deploy.link.links import RobotLink, datagram_link
 from fishmj.deploy.loop.wiring import Wired, servo_link
 from fishmj.deploy.loopback import loopback_command
 from fishmj.deploy.loopback.camera_frames import FrameArtist
-from fishmj.deploy.loopback.firmware import SERVO_BUS
 from fishmj.deploy.loopback.loopback_body import MILLISECOND
 from fishmj.deploy.loopback.loopback_settings import make_robot
 from fishmj.deploy.loopback.robot import LoopbackRobot
+from fishmj.deploy.protocols import SERVO_BUS
 from fishmj.deploy.tracker.fix import Fix, wrapped
 from fishmj.gap.laboratory import random_streams
 from fishmj.mjcf.description import Robot
@@ -244,14 +244,11 @@ def wired(
     words = ["--protocol", args.protocol, "--model", args.robot, *shlex.split(args.loopback or "")]
     settings = loopback_command.served(loopback_command.options().parse_args(words)).settings
     made = clock(make_robot(settings))
-    transport = LockstepTransport(made)
     link: RobotLink
     if settings.protocol == SERVO_BUS:
         link = servo_link(args, robot, made, lambda _: LockstepSerial(made))
-    elif settings.protocol == "fishmj-1":
-        link = Fishmj1Link(transport)
     else:
-        link = MishLink(transport, "fixed" if settings.protocol == "mish-fixed" else "mish-0.1.0")
+        link = datagram_link(settings.protocol, LockstepTransport(made))
     localiser = InStep(LockstepCamera(made), PoseTracker(noise, settings.seed))
     for part in (link, localiser):
         part.open()

@@ -28,12 +28,11 @@ from fishmj.base.options import number, setting, whole
 from fishmj.deploy.loop.clock import first_in_line
 from fishmj.deploy.loopback.bodies import SOLVER
 from fishmj.deploy.loopback.camera import CameraFrame
-from fishmj.deploy.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.deploy.loopback.loopback_body import MILLISECOND
 from fishmj.deploy.loopback.loopback_settings import LoopbackSettings, artist_of, calibration_of, make_robot
 from fishmj.deploy.loopback.robot import LoopbackRobot
 from fishmj.deploy.loopback.shared_frames import FrameWriter
-from fishmj.deploy.protocols import mish
+from fishmj.deploy.protocols import PROTOCOLS, SERVO_BUS, mish
 
 LOCAL, PORT = "127.0.0.1", whole(0, 65535)
 LONGEST = 2048  # bytes of a datagram that is looked at

@@ -9,8 +9,8 @@ from fishmj.deploy.loopback import bodies, network_faults
 from fishmj.deploy.loopback.camera import CameraTiming
 from fishmj.deploy.loopback.camera_frames import FishLook, FrameArtist, FrameOptions
 from fishmj.deploy.loopback.faults import LoopbackFault
-from fishmj.deploy.loopback.firmware import PROTOCOLS, SERVO_BUS
 from fishmj.deploy.loopback.robot import LoopbackRobot
+from fishmj.deploy.protocols import PROTOCOLS, SERVO_BUS
 from fishmj.deploy.tracker.calibration import Calibration, overhead
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot

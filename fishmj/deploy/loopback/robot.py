@@ -19,12 +19,13 @@ import numpy as np
 from fishmj.deploy.loopback import network_faults
 from fishmj.deploy.loopback.camera import CameraFrame, CameraTiming, LoopbackCamera
 from fishmj.deploy.loopback.faults import LoopbackFault
-from fishmj.deploy.loopback.firmware import PERIOD, PROTOCOLS, Firmware, firmware_of
+from fishmj.deploy.loopback.firmware import PERIOD, Firmware, firmware_of
 from fishmj.deploy.loopback.loopback_body import MILLISECOND, Body
 from fishmj.deploy.loopback.loopback_servos import LoopbackServos
 from fishmj.deploy.loopback.network_faults import Arrival, RadioChannel
 from fishmj.deploy.loopback.readings import Readings
 from fishmj.deploy.loopback.robot_faults import RobotFaults
+from fishmj.deploy.protocols import PROTOCOLS
 
 Step = Callable[[], None]
 
@@ -34,7 +35,7 @@ class LoopbackRobot:
 
     Args:
         body: the moving body (`bodies.make`), at its time 0.
-        protocol: one of `firmware.PROTOCOLS`. With "servo-bus" datagrams are pieces of the byte stream on the servos' wire.
+        protocol: one of `protocols.PROTOCOLS`. With "servo-bus" datagrams are pieces of the byte stream on the servos' wire.
         faults: `faults.parse`. seed: of radio and exposures; the body has its own.
         delay, spread: s, of the radio each way without faults.
         camera: timing of frames; by default with the description's latency.

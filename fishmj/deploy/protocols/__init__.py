@@ -15,3 +15,6 @@
 
 Byte tables: docs/tank/protocols.md. NumPy and the standard library only.
 """
+
+SERVO_BUS = "servo-bus"  # no microcontroller: the host speaks to the servos themselves
+PROTOCOLS = ("fishmj-1", "mish-0.1.0", "mish-fixed", SERVO_BUS)

@@ -221,7 +221,7 @@ class EllipsoidFreeSwims(free_swims.FreeSwims):
 
 
 def judge(water: Fitted, robot: Robot, records: Sequence[SegmentRecord]) -> dict:
-    """{"figures", "n", "freerun_s"} as from `check.judge`, without error bar and guard, which this water does not have."""
+    """{"figures", "n", "freerun_s"} as from `free_swims.judge`, without error bar and guard, which this water does not have."""
     swims = EllipsoidFreeSwims(water, robot, records)
     got, n = free_swims.errors(swims, swims.late)
     held = [r for r in records if flaps(r)]
