@@ -38,6 +38,7 @@ def test_boxes_by_name_halve_the_cell_once_or_twice():
     assert [(level.dx, level.dt) for level in levels] == [(0.02, 0.004), (0.01, 0.002), (0.005, 0.001)]
     assert levels[0] == replace(preset("paper"), name="paper_refined_twice")
     assert set(REFINED) < set(EVERY) and all(preset(name).name == name for name in EVERY)
+    assert all(preset(name).changed() == preset(name) for name in EVERY)
     assert preset("window_coarse_refined_twice").changed(dx=0.01).body_level.dx == 0.0025
     for name in REFINED:  # every box lies in the one before with the room that it needs
         for outer, size in zip(preset(name).levels, preset(name).boxes, strict=False):

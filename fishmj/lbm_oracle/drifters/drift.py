@@ -24,6 +24,7 @@ from fishmj.lbm_oracle.fluid.fluid import Fluid, blend_at
 from fishmj.lbm_oracle.output.slice_plots import STYLE
 from fishmj.lbm_oracle.run import solver_cost, stability
 from fishmj.lbm_oracle.run.domain import NAMES, Domain, preset
+from fishmj.lbm_oracle.run.solver_water import cell_option
 from fishmj.water.flow import LENGTH, PRESETS, Flow
 
 TICK: float = constant("timing", "bus_dt")  # s between two looks at the water
@@ -36,7 +37,7 @@ PATIENCE = 3.0  # times the mean passage: a drift that takes longer has met a wa
 def main(argv: list[str]) -> int:
     """Runs the verb `drift`; returns its exit code."""
     args = _parser().parse_args(argv)
-    domain = _domain(args)
+    domain = preset(args.domain).changed(dx=args.dx)
     flow = Flow(speed=args.speed, turbulence=args.turbulence, intensity=args.intensity, seed=args.seed)
     release = release_markers(domain, flow, n=args.n, seconds=args.seconds, interval=args.interval, width=args.spin_box)
     settle = domain.size[0] / flow.speed if args.settle is None else args.settle
@@ -142,11 +143,6 @@ def _with_progress(looks, bar, stopped: list[str]):
         console.warn(f"stopped after {t:.2f} s, the drifts until then are kept: {error}")
 
 
-def _domain(args) -> Domain:
-    domain = preset(args.domain)
-    return domain if args.dx is None else domain.changed(dx=args.dx)
-
-
 def _parser() -> console.Parser:
     p = console.parser("lbm_oracle drift", "Passive markers in a turbulent current: tracks, headings, spread.")
     add, seconds = p.add_argument, console.number(0, 100_000)
@@ -163,8 +159,7 @@ def _parser() -> console.Parser:
     add("--spin-box", type=console.number(0, 10, above=True), default=WIDTH, metavar="M", help=width)
     add("--water", choices=("lbm", "flow"), default="lbm", help="the solver, or the prescribed flow itself")
     add("--domain", choices=NAMES, default="flow_tank", help="box of water; laptop is a preview")
-    cell = "another cell, same size, dt in proportion; by default the domain's"
-    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    cell_option(add)
     add("--device", type=console.device, default="auto", help=console.DEVICE_HELP)
     out = "CSV, JSON and picture; those that are there are replaced"
     add("--out", type=console.out_folder, default="runs/drift", metavar="FOLDER", help=out)

@@ -41,7 +41,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, Domain, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run
 from fishmj.lbm_oracle.run.setup import SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, boundary_option, cell_option
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting
 from fishmj.mjcf import load_robot
 from fishmj.mjcf.skin import skin
@@ -133,8 +133,8 @@ def _points(args) -> list[Point]:
 
 
 def _domain(args) -> Domain:
-    domain = preset(args.domain)
-    return domain if args.dx is None else replace(domain.changed(dx=args.dx), name=f"{domain.name} at {args.dx:g} m")
+    domain = preset(args.domain).changed(dx=args.dx)
+    return domain if args.dx is None else replace(domain, name=f"{domain.name} at {args.dx:g} m")
 
 
 def _setup(args, domain: Domain) -> dict:
@@ -162,8 +162,7 @@ def _parser() -> console.Parser:
     add("--seconds", type=console.number(0, 10_000, above=True), metavar="S", help=seconds)
     add("--settle", type=console.number(0, 10_000), metavar="S", help="before; by default 5 body lengths of water flow past")
     add("--domain", choices=EVERY, default="forcemap", help="box of water; laptop is a preview, _refined is finer at the fish")
-    cell = "another cell, same size, dt in proportion; by default the domain's"
-    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    cell_option(add)
     console.add_settings(p, SwimSetup, "robot", "slip")
     boundary_option(add)
     add("--device", type=console.devices, default="auto", help=console.DEVICES_HELP)

@@ -35,7 +35,7 @@ from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.lbm_oracle.run.finished_rows import OK, FinishedRows, keep_rows
 from fishmj.lbm_oracle.run.run import Run, TankRun
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, study_options, study_slips
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_entry, cell_option, study_options, study_slips
 from fishmj.lbm_oracle.run.spread import GoOn, Waiting, side_by_side
 from fishmj.mjcf import load_robot
 
@@ -152,9 +152,8 @@ def main(argv: list[str]) -> int:
     """Runs the verb `real_fish`; returns its exit code."""
     args = _parser().parse_args(argv)
     args.slips = study_slips("lbm_oracle real_fish", args.slips, args.boundary, SLIPS)
-    domain = preset(args.domain)
+    domain = preset(args.domain).changed(dx=args.dx)
     real = [swim for swim in swims() if args.which == "all" or swim.sets == (args.which == "setting")][-args.swims :]
-    domain = domain if args.dx is None else domain.changed(dx=args.dx)
     if args.beats <= 2 * LAST:
         raise ConfigError(f"real_fish: --beats {args.beats:g}; expected more than {2 * LAST}: the last {LAST} count")
     robot, filmed = load_robot(args.robot or _robot()), load_robot(_robot())
@@ -210,8 +209,7 @@ def _parser() -> console.Parser:
     add = p.add_argument
     add("--domain", choices=EVERY, default="window_coarse_refined", help="box of water; laptop is a preview")
     add("--robot", type=console.text, help="shipped name or TOML file with two joints; by default the fish that was filmed")
-    cell = "another cell, same size, dt in proportion; by default the domain's"
-    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    cell_option(add)
     study_options(add, SLIPS)
     add("--beats", type=console.number(0, 1000, above=True), default=BEATS, help="of each swim; the last two count")
     add("--which", choices=("all", "setting", "judging"), default="all", help="those that set the slip ratio, or the others")

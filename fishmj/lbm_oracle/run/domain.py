@@ -135,7 +135,10 @@ class Domain:
         return Boundaries(x=side, y=side, z=Axis(self.bottom, "slip"))
 
     def changed(self, *, depth: float | None = None, dx: float | None = None, dt: float | None = None, **more: Any) -> "Domain":
-        """The same box with another depth [m], cell or time step; a new cell keeps the size and, unless dt is given, dx / dt."""
+        """The same box with another depth [m], cell [m] or time step [s], each as it is if None.
+
+        A new cell keeps the size and, unless dt is given, dx / dt. Raises ConfigError: a length that is not positive.
+        """
         given = {"depth": depth, "dx": dx, "dt": dt}
         length = {name: float(numbers(f"domain: {name}", v, low=1e-300)) for name, v in given.items() if v is not None}
         dx_new, (x, y, z) = length.get("dx", self.dx), self.size

@@ -73,6 +73,12 @@ def boundary_option(add: Callable[..., Any], default: str | None = "plain") -> N
     add("--boundary", choices=tuple(BOUNDARIES), default=default, help=words)
 
 
+def cell_option(add: Callable[..., Any]) -> None:
+    """Adds the option `--dx` to a command with a box of water; `add` is its parser's method."""
+    cell = "another cell, same size, dt in proportion; by default the domain's"
+    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+
+
 def study_options(add: Callable[..., Any], slips: Iterable[float]) -> None:
     """Adds --slips, by default `slips`, --boundary and --device to the command of a study."""
     slip = f"quoted at the paper's grid: 1 slides, 0 sticks; default {' '.join(f'{s:g}' for s in slips)}"

@@ -10,7 +10,6 @@ Ctrl-C ends the run after the tick that is under way; trial, state and fields up
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from math import degrees, radians
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS, preset
 from fishmj.lbm_oracle.run.run import LeftDomain, Run
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
-from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_option
+from fishmj.lbm_oracle.run.solver_water import BOUNDARIES, boundary_option, cell_option
 from fishmj.lbm_oracle.run.time_refinement import TickState, checkpoint, restore
 from fishmj.log import write_trial
 from fishmj.mjcf import load_robot
@@ -184,11 +183,7 @@ def _gait(args) -> Gait:
 
 
 def _stage(args) -> SwimSetup:
-    domain = preset(args.preset)
-    if args.depth is not None or args.dx is not None or args.dt is not None:
-        domain = domain.changed(depth=args.depth, dx=args.dx, dt=args.dt)
-    if args.bottom != domain.bottom:
-        domain = replace(domain, bottom=args.bottom)
+    domain = preset(args.preset).changed(depth=args.depth, dx=args.dx, dt=args.dt, bottom=args.bottom)
     flow = Flow(
         speed=args.speed, direction=radians(args.direction), turbulence=args.turbulence, intensity=args.intensity, seed=args.seed
     )
@@ -226,8 +221,7 @@ def _parser() -> console.Parser:
     add("--pose", type=place, nargs=3, default=[0.0, 0.0, 0.0], metavar=("X", "Y", "DEG"), help="start of the fish: m, m, deg")
     add("--depth", type=console.number(0.05, 10), metavar="M", help="of the water; by default the domain's")
     add("--bottom", choices=("slip", "wall"), default="slip", help="of the water")
-    cell = "another cell, same size, dt in proportion; by default the domain's"
-    add("--dx", type=console.number(0.001, 0.2), metavar="M", help=cell)
+    cell_option(add)
     add("--dt", type=console.number(1e-5, 0.1), metavar="S", help="another time step; by default the domain's")
     add("--latency", type=console.number(0, 10), metavar="S", help="of commands; the robot's by default")
     console.add_settings(p, SwimSetup, "width", "passes", "hydro_offset")
