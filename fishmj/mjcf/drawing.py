@@ -7,7 +7,7 @@ water acts on.
 import numpy as np
 
 from fishmj.log.foxglove import Solid
-from fishmj.mjcf.description import Robot
+from fishmj.mjcf.description import Fin, Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
 PALETTE = (  # warm and dark ones, which stand out on blue water; neighbours differ in hue and in brightness
@@ -78,14 +78,18 @@ def hull_faces(n: int, around: int) -> np.ndarray:
     return np.concatenate([tube_faces(n, around), nose, tail])
 
 
-def fin_plates(robot: Robot, geometry: Geometry, fin) -> list[tuple[float, float, float, float]]:
-    """Plates of one fin as (x centre, y centre, chord, span), m, in the frame of the link that carries it."""
+def fin_root(robot: Robot, geometry: Geometry, fin: Fin) -> tuple[int, float]:
+    """Number of the link that carries a fin, and the link's half width at the middle of the fin, m."""
     index = [link.name for link in robot.links].index(fin.link)
-    link = robot.links[index]
+    rows = np.array(robot.links[index].sections)
+    return index, float(np.interp(np.mean(fin.station), rows[:, 0], rows[:, 2]) * geometry.width_scale / 2)
+
+
+def fin_plates(robot: Robot, geometry: Geometry, fin: Fin) -> list[tuple[float, float, float, float]]:
+    """Plates of one fin as (x centre, y centre, chord, span), m, in the frame of the link that carries it."""
+    index, root = fin_root(robot, geometry, fin)
     front = geometry.span[index, 1]
-    rows = np.array(link.sections)
     chord, station = fin.station[1] - fin.station[0], (fin.station[0] + fin.station[1]) / 2
-    root = np.interp(station, rows[:, 0], rows[:, 2]) * geometry.width_scale / 2
     sides = (1.0, -1.0)[: fin.count]
     return [(front - station, side * (root + fin.span / 2), chord, fin.span) for side in sides]
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.mjcf.description import Fin, Robot
-from fishmj.mjcf.drawing import colour_of, drawn_sections, hull_faces, tube_faces
+from fishmj.mjcf.drawing import colour_of, drawn_sections, fin_root, hull_faces, tube_faces
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
 ZONE = 0.3  # half-length of the bend zone over the shorter adjacent link
@@ -138,12 +138,9 @@ def _shaded(base: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def _fin(robot: Robot, g: Geometry, fin: Fin, side: float):
     """A thin plate with a swept, rounded edge inside the rectangle station x span of the description."""
-    index = [link.name for link in robot.links].index(fin.link)
-    link = robot.links[index]
-    rows = np.array(link.sections)
-    middle = np.mean(fin.station)
-    root = np.interp(middle, rows[:, 0], rows[:, 2]) * g.width_scale / 2
+    index, root = fin_root(robot, g, fin)
     front_x = g.origin[index] + g.span[index, 1]
+    middle = front_x - np.mean(fin.station)
     u, v = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 7), indexing="ij")
     lead = 0.65 * v**2.2  # leading edge sweeps back towards the tip
     chord = fin.station[1] - fin.station[0]
@@ -157,7 +154,7 @@ def _fin(robot: Robot, g: Geometry, fin: Fin, side: float):
     down, up = (quads, quads[:, ::-1]) if side > 0 else (quads[:, ::-1], quads)
     normals = np.repeat([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], len(top), axis=0)
     colour = np.tile(0.62 * np.array(colour_of(robot, index)), (len(vertices), 1))
-    return vertices, normals, np.concatenate([up, down + len(top)]), colour, np.full(len(vertices), front_x - middle)
+    return vertices, normals, np.concatenate([up, down + len(top)]), colour, np.full(len(vertices), middle)
 
 
 def _eye(robot: Robot, g: Geometry, side: float):

@@ -6,7 +6,7 @@ import numpy as np
 
 from fishmj.base.figures import canvas, png
 from fishmj.mjcf.description import Robot
-from fishmj.mjcf.drawing import colour_of, drawn_sections
+from fishmj.mjcf.drawing import colour_of, drawn_sections, fin_root
 from fishmj.mjcf.geometry import Geometry, geometry_of
 
 BARS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # m
@@ -65,11 +65,8 @@ def _link(axes: Any, robot: Robot, i: int, front: float, column: int, scale: flo
 
 
 def _fins(axes: Any, robot: Robot, g: Geometry, fronts: np.ndarray, level: float) -> None:
-    names = [link.name for link in robot.links]
     for fin in robot.fins:
-        i = names.index(fin.link)
-        rows = np.array(robot.links[i].sections)
-        root = np.interp(np.mean(fin.station), rows[:, 0], rows[:, 2]) * g.width_scale / 2
+        i, root = fin_root(robot, g, fin)
         front, rear = (fronts[i] + s for s in fin.station)
         for side in (1.0, -1.0)[: fin.count]:
             x = [front, 0.35 * front + 0.65 * rear, rear, rear]
