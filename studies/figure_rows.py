@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fishmj.base.calib import constant
 from fishmj.evaluate.experiments.controller_comparison import gap_closed
 from fishmj.evaluate.metrics import difference, estimate, holm, paired_p
 from fishmj.gap.bench import family_score, power
@@ -183,31 +184,31 @@ def strengths(label: str) -> list[float]:
 
 
 def front_page(label: str) -> list[float]:
-    """Figures of the README: `station-family` in the reference water [m]; arrivals and trials at slip 0.97, least, greatest RMSE
-    in other waters and of other robots, RMSE at slip 0.97 [m]; arrivals of 360, least and greatest RMSE in four fits and that in
-    the structured water [m]; `station` in the reference water and at slip 1 [m]; right names.
+    """Figures of the README on `station-family`, then on `station` and on the search.
+
+    RMSE in the reference water [m]; arrivals, trials and RMSE when trained without its fits; arrivals and trials at slip 0.97,
+    least and greatest RMSE in other waters and of other robots, RMSE at slip 0.97; arrivals, trials, trials that hold and RMSE in
+    almost still water; arrivals of 360, least and greatest RMSE in four fits and that in the structured water; RMSE of `station`
+    in the reference water and at slip 1; right names.
     """
     tables = {file.stem: json.loads(file.read_text(encoding="utf-8"))["results"] for file in JUDGED.glob("*.json")}
     mine = {water: row["overall"] for water, rows in tables.items() for row in rows if row["controller"] == NAME}
     arrived = sum(figures["arrival"]["value"] * figures["arrival"]["n"] for figures in mine.values())
-    held = {water: figures["rmse_after_arrival"]["value"] for water, figures in mine.items()}
-    structured = held.pop("structured")
-    rows = [row for row in table(HERE / "training" / "rows" / "judged_station_family.csv") if row["controller"] == NAME]
-    swims = [row for row in rows if not any(word in row["water"] for word in ("0.97", "0 to 0.04", "gusts"))]
-    waters = [
-        [row for row in swims if (row["water"], row["seed"]) == one] for one in {(row["water"], row["seed"]) for row in swims}
-    ]
-    other = [float(np.nanmean(column(some, "rmse_after_arrival"))) for some in waters]
-    slip = [row for row in rows if "0.97" in row["water"]]
-    others = [
-        column(slip, "arrival").sum(),
-        len(slip),
-        min(other),
-        max(other),
-        float(np.nanmean(column(slip, "rmse_after_arrival"))),
-    ]
-    reference = judged("station-family, reference-2")[2]
-    family = [reference, *others, round(arrived), min(held.values()), max(held.values()), structured]
+    fits = {water: figures["rmse_after_arrival"]["value"] for water, figures in mine.items()}
+    structured = fits.pop("structured")
+    every = table(HERE / "training" / "rows" / "judged_station_family.csv")
+    rows = [row for row in every if row["controller"] == NAME]
+    swims = [row for row in rows if not any(word in row["water"] for word in ("0.97", "0 to 0.04"))]
+    drawn = {(row["water"], row["seed"]) for row in swims}
+    other = [summary([row for row in swims if (row["water"], row["seed"]) == one])["rmse"] for one in drawn]
+    without = summary([row for row in every if row["controller"] == "trained without the reference's fits"])
+    slip = summary([row for row in rows if "0.97" in row["water"]])
+    rest = [row for row in rows if row["water"] == "reference-2, 0 to 0.04 m/s"]
+    still, held = summary(rest), int((column(rest, "rmse_after_arrival") <= constant("protocol", "arrival_radius")).sum())
+    family = [judged("station-family, reference-2")[2], *(without[key] for key in ("arrivals", "trials", "rmse"))]
+    family += [slip["arrivals"], slip["trials"], min(other), max(other), slip["rmse"]]
+    family += [still["arrivals"], still["trials"], held, still["rmse"]]
+    family += [round(arrived), min(fits.values()), max(fits.values()), structured]
     station = [judged(f"station, {water}")[2] for water in ("reference-2", "plain")]
     return [*family, *station, *second_robot("precision")[:3]]
 
