@@ -1,4 +1,4 @@
-"""Catalogue of the imperfections that fishmj knows by name, one small file each, by the stage at which each acts.
+"""Catalogue of the imperfections that fishmj knows by name, in `stages/` by the stage at which each acts.
 
     effects.get("command_latency").formula
     active = effects.EffectStack([effects.get("coulomb_friction")], joints=3)
@@ -6,12 +6,12 @@
 Domain randomisation draws from these entries, a calibration lists them, and the discrepancy workflow may name them.
 """
 
-from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.effects import stages
 from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter, RobotForm, kind_of, site_of
 from fishmj.effects.stack import EffectStack
 
@@ -19,20 +19,21 @@ from fishmj.effects.stack import EffectStack
 @cache
 def catalogue() -> dict[str, Effect]:
     """All effects of a fish by name, in order of stage, then of name."""
-    return {effect.name: effect for effect in _read() if effect.swims}
+    return {effect.name: effect for effect in _every() if effect.swims}
 
 
 @cache
 def robot_catalogue() -> dict[str, Effect]:
     """All effects of a robot described in MJCF by name, in order of stage, then of name."""
-    return {effect.name: effect for effect in _read() if effect.robot is not None}
+    return {effect.name: effect for effect in _every() if effect.robot is not None}
 
 
-def _read() -> Iterator[Effect]:
-    for stage in STAGES:
-        room = import_module(f"fishmj.effects.{stage}")
-        for module in sorted(m.name for m in iter_modules(room.__path__)):
-            yield import_module(f"{room.__name__}.{module}").EFFECT
+@cache
+def _every() -> list[Effect]:
+    """Each `Effect` of each file in `stages/`, in order of stage, then of name."""
+    modules = [import_module(f"{stages.__name__}.{m.name}") for m in iter_modules(stages.__path__)]
+    found = [value for module in modules for value in vars(module).values() if isinstance(value, Effect)]
+    return sorted(found, key=lambda effect: (STAGES.index(effect.stage), effect.name))
 
 
 def join(effect: Effect) -> None:

@@ -60,7 +60,7 @@ def _latency(spec, robot, p) -> None:
 
 
 def _mass(spec, robot, p) -> None:
-    """Adds mass as in `effects/inertia/body_mass.py`: a part over the links, the rest at the head's origin."""
+    """Adds mass as the effect `body_mass` does: a part over the links, the rest at the head's origin."""
     spread = p.get("spread", 1.0)
     share, load = 1 + spread * p["mass"] / robot.mass, (1 - spread) * p["mass"]
     for link in robot.links:

@@ -1,1 +1,0 @@
-"""Effects of the stage `actuator`, one file each."""

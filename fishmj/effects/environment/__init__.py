@@ -1,1 +1,0 @@
-"""Effects of the stage `environment`, one file each."""

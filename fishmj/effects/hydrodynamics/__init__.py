@@ -1,1 +1,0 @@
-"""Effects of the stage `hydrodynamics`, one file each."""

@@ -1,1 +1,0 @@
-"""Effects of the stage `inertia`, one file each."""

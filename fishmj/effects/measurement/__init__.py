@@ -1,1 +1,0 @@
-"""Effects of the stage `measurement`, one file each."""

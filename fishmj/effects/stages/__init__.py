@@ -1,0 +1,1 @@
+"""Catalogue of effects by stage; each `Effect` of a file here is registered."""

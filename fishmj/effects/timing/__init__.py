@@ -1,1 +1,0 @@
-"""Effects of the stage `timing`, one file each."""
