@@ -267,7 +267,7 @@ def test_solver_models_use_own_calibration_swims_and_null_without_solver(sets, t
 
     monkeypatch.setattr(solver_sets.calibrated, "read_or_calibrate", found)
     monkeypatch.setattr(
-        solver_sets.healthy_swims, "read_healthy_swims", lambda model, swims, null: HealthySwims(1.2, (len(swims), null.without))
+        calibrated.healthy_swims, "read_healthy_swims", lambda model, swims, null: HealthySwims(1.2, (len(swims), null.without))
     )
     monkeypatch.setattr(family_rows, "investigate", search)
     monkeypatch.setattr(family_command, "precompile", lambda names: None)

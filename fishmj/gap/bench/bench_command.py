@@ -31,7 +31,7 @@ from fishmj.base.store import write_text
 from fishmj.gap.bench import cases, families, family_command, logs, power, robot_bench, robot_cases, solver
 from fishmj.gap.bench.bench_rows import agree_to_time, finished_rows, judge_cases
 from fishmj.gap.bench.run_case import fish, run
-from fishmj.gap.bench.score import score
+from fishmj.gap.bench.score import figure_line, score
 from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.laboratory.articulated import robot_session
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -249,11 +249,4 @@ def case_row(plant: Callable, weighed: bool, one: solver.SolverCase) -> dict:
 
 def report_lines(result: dict) -> list[str]:
     """Score as lines of text."""
-    lines = []
-    for key, value in result.items():
-        if isinstance(value, dict):
-            of, within = f"{value['hits']} of {value['n']}", f"95 %: {value['low']:.1%} to {value['high']:.1%}"
-            lines.append(f"{key:34s} {value['value']:6.1%}  ({of}; {within})" if value["n"] else f"{key:34s}      -  (none)")
-        else:
-            lines.append(f"{key:34s} {value if value is None or isinstance(value, int) else round(value, 3)}")
-    return lines
+    return [figure_line(key, value, width=34) for key, value in result.items()]

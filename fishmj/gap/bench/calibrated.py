@@ -21,7 +21,9 @@ from fishmj.gap.bench import families
 from fishmj.gap.calibrate import water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs
 from fishmj.gap.calibrate.water_plant import WaterPlant
-from fishmj.gap.null.null_runs import digest
+from fishmj.gap.null.null_runs import SimulatedNull, digest
+from fishmj.gap.search import healthy_swims
+from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
@@ -89,5 +91,19 @@ def calibration_path(family: str, seed: int, robot: Robot) -> Path:
         [run.id, run.start, run.push, hashlib.sha256(run.commands.tobytes()).hexdigest()]
         for run in families.runs_of(SWIMS, robot)
     ]
-    text = json.dumps([family, seed, families.NUISANCE, swims, digest(*CODE)]) + repr(robot)
+    return cached([family, seed, families.NUISANCE, swims], robot)
+
+
+def compiled_model(robot: Robot, family: str, swims: list[Trial]) -> tuple[object, HealthySwims | None]:
+    """(model of a description, its result on the healthy swims to which it was calibrated, or None without any)."""
+    from fishmj.gap.models.swimming_fish import SwimmingFish
+
+    model = SwimmingFish(robot)
+    _ = model.kernel
+    return model, healthy_swims.read_healthy_swims(model, swims, SimulatedNull(without=family)) if swims else None
+
+
+def cached(inputs: list, robot: Robot) -> Path:
+    """Path of a calibration of a description under the hash of its inputs, as JSON, and of the code."""
+    text = json.dumps([*inputs, digest(*CODE)]) + repr(robot)
     return cache_folder() / "bench" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"

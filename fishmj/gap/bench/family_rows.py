@@ -22,7 +22,6 @@ from fishmj.gap.bench.drawn_robots import BenchRobot, describe_robot, is_searche
 from fishmj.gap.bench.run_case import answered_by
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.progress import QuietBar
-from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.workflow import investigate
@@ -87,20 +86,14 @@ def _rows(one: RobotQuery) -> Iterator[dict]:
 
 def questioned_model(one: RobotQuery) -> tuple[Robot, object, HealthySwims | None, dict]:
     """(true description, questioned model, result of its own healthy swims, the row's entries on all three)."""
-    from fishmj.gap.models.swimming_fish import SwimmingFish
-
     begin = time.process_time()
     known, redraws, speed = describe_robot(one.robot)
     facts = of_body(known) | {"redraws": redraws, "lengths_a_second": speed, "calibrated": None}
     believed = known
     if one.calibrate:
         believed, facts["calibrated"] = calibrated.calibrate_robot(one.robot.family, one.robot.seed, known)
-    model = SwimmingFish(believed)
-    _ = model.kernel
-    own = None
-    if one.calibrate:
-        swims = calibrated.swims(one.robot.family, one.robot.seed, known)
-        own = healthy_swims.read_healthy_swims(model, swims, SimulatedNull(without=one.robot.family))
+    swims = calibrated.swims(one.robot.family, one.robot.seed, known) if one.calibrate else []
+    model, own = calibrated.compiled_model(believed, one.robot.family, swims)
     facts["own"] = own.calibration_residual if own else 0.0
     return known, model, own, facts | {"robot_cpu_seconds": time.process_time() - begin}
 

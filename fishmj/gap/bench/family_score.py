@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.base import console
-from fishmj.gap.bench.score import figure_line, inside, middle, names, relative_errors, same, share, share_of, twin
+from fishmj.gap.bench.score import figure_line, inside, middle, names, relative_errors, same, share, share_cells, share_of, twin
 from fishmj.gap.laboratory.generators.detectability import BOUND
 
 
@@ -74,6 +74,7 @@ def figures(every: list[dict]) -> dict:
     said = [r for r in singles if r["said"]]
     errors = [e for r in whole for e in relative_errors(r)]
     seconds = [r["seconds"] for r in rows if "seconds" in r]
+    speed_errors = [e for r in rows if (e := (r.get("calibrated") or {}).get("value")) is not None]
     count = lambda given, *answers: sum(r["answer"] in answers for r in given)
     return {
         "n": len(rows),
@@ -98,15 +99,9 @@ def figures(every: list[dict]) -> dict:
         "diverged": count(every, "DIVERGED"),
         "not_searched": count(every, "NOT_SEARCHED"),
         "redraws": sum({r["robot"]: r.get("redraws", 0) for r in rows}.values()),
-        "speed_error_mean": _mean(
-            [r["calibrated"]["value"] for r in rows if r.get("calibrated") and r["calibrated"]["value"] is not None]
-        ),
+        "speed_error_mean": float(np.mean(speed_errors)) if speed_errors else None,
         "seconds_median": middle(seconds),
     }
-
-
-def _mean(values: list[float]) -> float | None:
-    return float(np.mean(values)) if values else None
 
 
 def report_lines(result: dict) -> list[str]:
@@ -114,7 +109,8 @@ def report_lines(result: dict) -> list[str]:
     aims = {aim["aim"]: aim for aim in result["aims"]}
     lines = ["all families", *(figure_line(key, value, aims.get(key)) for key, value in result["pooled"].items())]
     parts = {**result["families"], **{f"model {name}": found for name, found in result["models"].items()}}
-    lines += ["", console.table([{"": name} | _cells(found) for name, found in parts.items()])]
+    keys = [aim.key for aim in AIMS]
+    lines += ["", console.table([{"": name} | share_cells(found, keys) for name, found in parts.items()])]
     few = [(aim["n"], aim["asked"], KINDS[aim["aim"]]) for aim in result["aims"] if aim["aim"] in KINDS]
     less = ", ".join(f"{n} of {asked} {what}" for n, asked, what in few if n < asked)
     thin = ", ".join(
@@ -125,8 +121,3 @@ def report_lines(result: dict) -> list[str]:
     )
     lines += [f"fewer than asked in sum: {less}"] if less else []
     return lines + ([f"fewer than {FEWEST} in a family: {thin}"] if thin else [])
-
-
-def _cells(found: dict) -> dict:
-    """Table cells of a family: the figures of the aims, as hits and cases."""
-    return {aim.key.replace("_", " "): f"{found[aim.key]['hits']} of {found[aim.key]['n']}" for aim in AIMS}

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.bench.run_case import effect_row
+from fishmj.gap.bench.run_case import answered_by
 from fishmj.gap.measured.study import Study, extended, investigate
 from fishmj.gap.measured.study_answer import answer
 from fishmj.gap.measured.study_build import built, deleted, shipped
@@ -76,11 +76,7 @@ def run(case: Deletion) -> dict:
 
 def verdict_row(verdict: Verdict) -> dict:
     """Entries of a row on the verdict, in the form of the other generators."""
-    rows = [effect_row(effect) for effect in verdict.effects]
-    out: dict = {"answer": verdict.answer, "said": rows, "rivals": [r["name"] for r in verdict.rivals]}
-    out |= {"gap_before": verdict.gap_before, "gap_after": verdict.gap_after, "gap_unseen": verdict.gap_after_unseen}
-    out |= {"gap_unseen_before": verdict.gap_before, "explained": verdict.explained, "gates": verdict.gates}
-    return out | {"reason": verdict.reason, "warnings": list(verdict.warnings)}
+    return answered_by(verdict) | {"gap_unseen_before": verdict.gap_before, "reason": verdict.reason}
 
 
 def value(study: Study, row: np.ndarray, effect: str, constant: str, parameter: str) -> float:

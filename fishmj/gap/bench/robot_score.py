@@ -19,7 +19,7 @@ from fishmj import effects
 from fishmj.base import console
 from fishmj.gap.bench.family_score import Aim
 from fishmj.gap.bench.robot_thresholds import SHIPPED, chosen, replayed
-from fishmj.gap.bench.score import figure_line, names, share, share_of
+from fishmj.gap.bench.score import figure_line, names, share, share_cells, share_of
 from fishmj.gap.laboratory.articulated.robot_session import SEEN
 
 AIMS = (
@@ -197,9 +197,8 @@ def report_lines(result: dict) -> list[str]:
 def _cells(found: dict) -> dict:
     """Table cells of one group of rows."""
     keys = ("precision", "coverage", "coverage_alone", "nulls_named", "agrees", "misnamed_outside", "intervals_hold")
-    cells = {key.replace("_", " "): f"{found[key]['hits']} of {found[key]['n']}" for key in keys}
     error = found["value_error_median"]
-    return cells | {"value error": f"{100 * error['value']:.1f} %" if error else "-"}
+    return share_cells(found, keys) | {"value error": f"{100 * error['value']:.1f} %" if error else "-"}
 
 
 def _line(key: str, value, aim: dict | None) -> str:

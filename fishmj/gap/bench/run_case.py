@@ -62,6 +62,13 @@ def answered_by(verdict: Verdict) -> dict:
     return out | {"steps": verdict.steps, "warnings": verdict.warnings}
 
 
+def records_of(plant, case: BenchCase, effects: dict, noise: float = 0.0) -> list[Record]:
+    """Records of a case's experiments with its robot and these effects. noise: factor on the sensors' noise."""
+    from fishmj.gap.laboratory.virtual_robot import generate
+
+    return [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, noise, robot=plant.robot)]
+
+
 def sizes(gap: Callable, plant, case: BenchCase) -> tuple[float, dict]:
     """(gap of all hidden effects together, {name: gap of each alone})."""
     whole = gap(plant, case, case.effects)
@@ -80,19 +87,12 @@ def true_gap(plant, case: BenchCase, hidden: dict) -> float:
 
     It compares the same fish with and without its effects; every record and channel counts alike.
     """
-    from fishmj.gap.laboratory.virtual_robot import generate
-
     if not hidden:
         return 1.0
-    sides = []
-    for effects in (hidden, {}):
-        records = [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, 0.0, robot=plant.robot)]
-        sides.append(records)
-    noise = {}
-    for record in (record_of(t, plant.dt) for t in generate({}, case.logs[:1], case.seed, case.noise, robot=plant.robot)):
-        noise = {s: getattr(record, s).sigma for s in ("joint", "pose", "power") if getattr(record, s) is not None}
-    ratios = [r for a, b in zip(*sides, strict=True) for r in _ratios(a, b, noise)]
-    return 1.0 + float(np.mean(ratios))
+    (first,) = records_of(plant, case._replace(logs=case.logs[:1]), {}, case.noise)
+    noise = {s: getattr(first, s).sigma for s in ("joint", "pose", "power") if getattr(first, s) is not None}
+    pairs = zip(records_of(plant, case, hidden), records_of(plant, case, {}), strict=True)
+    return 1.0 + float(np.mean([r for a, b in pairs for r in _ratios(a, b, noise)]))
 
 
 def beyond_gap(plant, case: BenchCase, hidden: dict) -> float:
@@ -100,15 +100,10 @@ def beyond_gap(plant, case: BenchCase, hidden: dict) -> float:
 
     With s the change by the effects, T the change by the constants' tolerances, both over the noise: 1 + s (1 + T^T T)^-1 s / m.
     """
-    from fishmj.gap.laboratory.virtual_robot import generate
-
     if not hidden:
         return 1.0
-
-    def records(effects: dict, noise: float) -> list[Record]:
-        return [record_of(t, plant.dt) for t in generate(effects, case.logs, case.seed, noise, robot=plant.robot)]
-
-    with_, without, noisy = records(hidden, 0.0), records({}, 0.0), ResidualLayout(records({}, case.noise))
+    with_, without = records_of(plant, case, hidden), records_of(plant, case, {})
+    noisy = ResidualLayout(records_of(plant, case, {}, case.noise))
     layout = ResidualLayout(without)
     _, tangents = residual_and_tangents(plant, without, layout, plant.null)
     means = [ResidualLayout(r).measured for r in (with_, without)]

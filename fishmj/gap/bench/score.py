@@ -1,7 +1,7 @@
 """Score of the rows of a benchmark, each share with its 95 % bounds (Clopper & Pearson 1934)."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import ModuleType
 
 import numpy as np
@@ -59,6 +59,11 @@ def figure_line(key: str, value, aim: dict | None = None, width: int = 28, digit
     low, high = aim["low"], aim["high"]
     ends = f"<= {high:.0%}" if low == 0.0 else f">= {low:.0%}" if high == 1.0 else f"{low:.0%} to {high:.0%}"
     return f"{text}  aim {ends}: {'met' if aim['met'] else 'MISSED'}"
+
+
+def share_cells(found: dict, keys: Iterable[str]) -> dict[str, str]:
+    """Cells of a table {key in words: hits and cases} of some shares."""
+    return {key.replace("_", " "): f"{found[key]['hits']} of {found[key]['n']}" for key in keys}
 
 
 def names(row: dict) -> set[str]:

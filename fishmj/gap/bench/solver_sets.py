@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base import console
-from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import ConfigError
 from fishmj.base.store import read_json
 from fishmj.gap.bench import calibrated
@@ -25,8 +24,6 @@ from fishmj.gap.bench import solver_plan as plans
 from fishmj.gap.bench.drawn_robots import BenchRobot
 from fishmj.gap.bench.family_rows import UNABLE, RobotQuery, case_facts, of_body, refusal_row, search_row, write_rows
 from fishmj.gap.bench.solver_plan import FREE, SETS, TRUTH
-from fishmj.gap.null.null_runs import SimulatedNull, digest
-from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.healthy_swims import HealthySwims
 from fishmj.log import Trial
 from fishmj.log.dataset import read_bundle
@@ -84,17 +81,11 @@ def questioned_model(one: RobotQuery, known: Robot, free: list[Trial]) -> tuple[
 
     Raises LogError: the free swims contain no information.
     """
-    from fishmj.gap.models.swimming_fish import SwimmingFish
-
-    believed, error, own = known, None, None
+    believed, error = known, None
     if one.calibrate:
-        text = json.dumps([plans.SOLVER, fingerprint(free), digest(*calibrated.CODE)]) + repr(known)
-        path = cache_folder() / "bench" / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.json"
+        path = calibrated.cached([plans.SOLVER, fingerprint(free)], known)
         believed, error = calibrated.read_or_calibrate(path, plans.SOLVER, known, lambda: free)
-    model = SwimmingFish(believed)
-    _ = model.kernel
-    if one.calibrate:
-        own = healthy_swims.read_healthy_swims(model, free, SimulatedNull(without=plans.SOLVER))
+    model, own = calibrated.compiled_model(believed, plans.SOLVER, free if one.calibrate else [])
     return model, error, own
 
 

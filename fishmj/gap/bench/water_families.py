@@ -111,11 +111,8 @@ def tables(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
         one |= {"unseen yaw": mean([row["unseen"][name]["yaw_rate"] for row in mine for name in UNSEEN])}
         one |= {"intervals hold": 100 * float(np.mean(inside)) if inside else float("nan"), "of": len(inside)}
         families.append(one | {"CPU s": float(np.mean([row["cpu_s"] for row in mine]))})
-    for kind in SWIMS:
-        speed = {family: mean([row["swims"][kind]["speed"] for row in of(family)]) for family in named}
-        kinds.append({"kind": kind, **speed})
-    for name in UNSEEN:
-        kinds.append({"kind": name, **{family: mean([row["unseen"][name]["speed"] for row in of(family)]) for family in named}})
+    for part, kind in (*(("swims", kind) for kind in SWIMS), *(("unseen", name) for name in UNSEEN)):
+        kinds.append({"kind": kind, **{family: mean([row[part][kind]["speed"] for row in of(family)]) for family in named}})
     for name in rows[0]["physical"]:
         for family in named:
             known = [row["physical"][name] for row in of(family) if row["physical"][name][3] is not None]
@@ -123,14 +120,10 @@ def tables(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
                 off = [value / true - 1.0 for value, _, _, true in known]
                 held = [low <= true <= high for _, low, high, true in known]
                 width = [(high - low) / 2 / abs(true) for _, low, high, true in known]
-                one = {"quantity": name, "family": family, "mean error": 100 * float(np.mean(off)), "RMS error": rms(off)}
+                one = {"quantity": name, "family": family, "mean error": 100 * float(np.mean(off))}
+                one |= {"RMS error": 100 * float(np.sqrt(np.mean(np.square(off))))}
                 quantities.append(one | {"half width": 100 * float(np.mean(width)), "held": sum(held), "of": len(held)})
     return families, kinds, quantities
-
-
-def rms(values: list[float]) -> float:
-    """Root mean square, in percent."""
-    return 100.0 * float(np.sqrt(np.mean(np.square(values))))
 
 
 def main(argv: list[str]) -> int:

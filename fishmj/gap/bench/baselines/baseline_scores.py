@@ -13,9 +13,8 @@ from fishmj.base.workers import ask_all
 from fishmj.gap.bench.baselines.baseline_answer import BaselineAnswer
 from fishmj.gap.bench.bench_rows import keep, read_rows
 from fishmj.gap.bench.cases import BenchCase
-from fishmj.gap.bench.run_case import fish
+from fishmj.gap.bench.run_case import fish, records_of
 from fishmj.gap.bench.score import score
-from fishmj.gap.records.records import record_of
 
 NAMES = ("everything_free", "delta_bic", "e_sindy", "residual_correlation")
 NEEDS = {"e_sindy": ("pysindy", "bench")}
@@ -35,19 +34,11 @@ GAPS = ("true_gap", "each_gap", "beyond_gap", "each_beyond")  # what a row knows
 
 def rows_of(plant, case: BenchCase, own: dict, names=NAMES) -> dict[str, dict]:
     """{baseline: row} of one case, in the form of `bench.run_case`. own: the search's row of the case, for its gaps."""
-    from fishmj.gap.laboratory.virtual_robot import generate
-
-    row = {
-        "id": case.id,
-        "kind": case.kind,
-        "truth": case.effects,
-        "seed": case.seed,
-        "noise": case.noise,
-        "logs": len(case.logs),
-    }
+    row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}
+    row |= {"noise": case.noise, "logs": len(case.logs)}
     row |= {key: own[key] for key in GAPS if key in own} | {"gap_before": 1.0, "gap_unseen": None, "rivals": []}
     try:
-        records = [record_of(t, plant.dt) for t in generate(case.effects, case.logs, case.seed, case.noise)]
+        records = records_of(plant, case, case.effects, case.noise)
     except SimDiverged as error:
         return {name: row | {"answer": "DIVERGED", "reason": str(error)} for name in names}
     out = {}

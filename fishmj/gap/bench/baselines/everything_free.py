@@ -45,13 +45,9 @@ def answer(plant, records: list[Record]) -> BaselineAnswer:
         return (residual(x + np.diag(step)) - r.reshape(-1, 1)) / step
 
     begin = np.clip(plant.null[free] + START * size, low, high)
-    quiet = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  closed below
-    try:
-        found, _ = minimize.least_squares(
-            begin, residual, (low, high), jacobian, max_iter=ITERATIONS, verbose=0, output=quiet, x_scale=size
-        )
-    finally:
-        quiet.close()
+    with open(os.devnull, "w", encoding="utf-8") as quiet:
+        how = {"max_iter": ITERATIONS, "verbose": 0, "output": quiet, "x_scale": size}
+        found, _ = minimize.least_squares(begin, residual, (low, high), jacobian, **how)
     moved = np.abs(np.ravel(found) - plant.null[free]) / size
     apart = [p.shape or p.unit != e.parameters[0].unit for e in plant.active.effects for p in e.parameters]
     moved[apart] = 0.0  # a clock's drift in millionths and what only shapes an effect have no size to compare

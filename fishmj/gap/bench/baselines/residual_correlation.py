@@ -14,6 +14,7 @@ from fishmj.gap.records.records import ChannelBlock, Record, ResidualLayout
 
 LEVEL = 2.58
 LOUD = 1.5  # times the bound: many pairs are looked at
+STAIRS = 0.06  # s over which commands, which are stairs, are averaged
 SIGN = {  # (channel, input) -> effect
     ("joint", "rate of the command"): "command_latency",
     ("joint", "command"): "command_gain_error",
@@ -82,7 +83,7 @@ def inputs(record: Record, b: ChannelBlock, predicted: dict) -> dict[str, np.nda
     return out
 
 
-def smoothed(values: np.ndarray, dt: float, over: float = 0.06) -> np.ndarray:
-    """Running mean over `over` seconds, since commands are stairs."""
-    width = max(1, round(over / dt))
+def smoothed(values: np.ndarray, dt: float) -> np.ndarray:
+    """Running mean over `STAIRS` seconds."""
+    width = max(1, round(STAIRS / dt))
     return np.convolve(values, np.ones(width) / width, mode="same")
