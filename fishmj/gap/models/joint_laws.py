@@ -31,19 +31,8 @@ LEAST_FRICTION = 1e-6  # N m: without friction MuJoCo makes no constraint, and t
 MEMORY = 4  # numbers of each law at each joint
 FIXED = (
     *("joints", "active", "dof", "place", "actuator", "row", "gain0", "gain1", "gain2", "bias0", "bias1", "bias2", "gear"),
-    *(
-        "command_low",
-        "command_high",
-        "force_low",
-        "force_high",
-        "drive_low",
-        "drive_high",
-        "limit",
-        "inertia",
-        "armature",
-        "damping",
-    ),
-    "step",
+    *("command_low", "command_high", "force_low", "force_high", "drive_low", "drive_high"),
+    *("limit", "inertia", "armature", "damping", "step"),
 )  # columns of jnt_user before the parameters of the laws
 FOUND = ("qpos", "qvel", "ctrl", "userdata", "qfrc_passive", "efc_frictionloss")  # arrays of mjData
 

@@ -12,6 +12,7 @@ Half of a search's time is interpolation at stamps, so those loops are compiled 
 """
 
 import re
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -72,7 +73,7 @@ class Kernel:
         parts.append(numba_build.lane_loop("physics", physics, names["state"], rows))
         parts.append(numba_build.lane_loop("look", seen, names["watch"], rows))
         self.inputs, self.watched = inputs, watched
-        self._roll = numba_build.compiled("".join(parts) + loops()).roll
+        self._roll = numba_build.compiled("".join(parts) + loops_text("loops.py", "ROLL, ")).roll
 
     def __call__(self, which, inputs, lengths, parameters, start, delay, stride: int, samples: int) -> np.ndarray:
         """Rolls out.
@@ -89,23 +90,28 @@ class Kernel:
         tidy = lambda a, dtype: np.ascontiguousarray(a, dtype)
         rollouts = (tidy(which, np.int64), tidy(inputs, float), tidy(lengths, np.int64), tidy(parameters, float))
         given: tuple = (*rollouts, tidy(start, float), tidy(delay, float), int(stride), out)
-        blocks = -(-rows // numba_build.LANES)
-        workers = max(1, min(usable_cores(), blocks // CHUNK))
-        if workers == 1:
-            self._roll(0, rows, *given)
-            return out
-        edges = [numba_build.LANES * (blocks * i // workers) for i in range(workers)] + [rows]
-        with ThreadPoolExecutor(workers) as pool:
-            for job in [pool.submit(self._roll, a, b, *given) for a, b in zip(edges[:-1], edges[1:], strict=True)]:
-                job.result()
+        roll_blocks(self._roll, rows, numba_build.LANES, given)
         return out
 
 
-def loops() -> str:
-    """The functions of loops.py as text, each with its decorator."""
-    text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
+def roll_blocks(roll: Callable[..., None], rows: int, lanes: int, given: tuple) -> None:
+    """Calls roll(first, stop, *given) for all rows, with threads that share the blocks of `lanes` rows."""
+    blocks = -(-rows // lanes)
+    workers = max(1, min(usable_cores(), blocks // CHUNK))
+    edges = [lanes * (blocks * i // workers) for i in range(workers)] + [rows]
+    if workers == 1:
+        roll(0, rows, *given)
+        return
+    with ThreadPoolExecutor(workers) as pool:
+        for job in [pool.submit(roll, a, b, *given) for a, b in zip(edges[:-1], edges[1:], strict=True)]:
+            job.result()
+
+
+def loops_text(file: str, types: str = "") -> str:
+    """The functions of a file beside this one as text, each with its decorator. types: of the arguments of its `roll`."""
+    text = Path(__file__).with_name(file).read_text(encoding="utf-8")
     text = re.sub(r"^def ", "@njit(**INNER)\ndef ", text[text.index("\ndef ") :], flags=re.MULTILINE)
-    return text.replace("@njit(**INNER)\ndef roll(", "@njit(ROLL, cache=CACHE, nogil=True, **MATH)\ndef roll(")
+    return text.replace("@njit(**INNER)\ndef roll(", f"@njit({types}cache=CACHE, nogil=True, **MATH)\ndef roll(")
 
 
 def hermite(values, rates, h: float, t):

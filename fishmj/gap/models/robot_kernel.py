@@ -10,20 +10,16 @@ computations for a tree on a fixed base: bias forces, inertia, springs, damping,
 rollout that reaches a joint limit or diverges.
 """
 
-import re
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from fishmj.base.cores import usable_cores
 from fishmj.engines import fast_math, numba_build
 from fishmj.gap.models import joint_laws
-from fishmj.gap.models.kernel import CHUNK, HEADER
+from fishmj.gap.models.kernel import HEADER, loops_text, roll_blocks
 
 LANES = 8  # rollouts a vector loop: one 512-bit register of float64
 # rows of a block of the workspace; the first 24 but two are given by the model
@@ -96,15 +92,7 @@ class RobotKernel:
         tidy = np.ascontiguousarray
         numbers = tidy(which, np.int64), table, bodies, medium, laws, self.tree, self.driven
         given = *numbers, tidy(begins), tidy(inputs), tidy(pushed), self.euler, out, ok
-        blocks, roll = -(-len(begins) // LANES), _compiled()
-        workers = max(1, min(usable_cores(), blocks // CHUNK))
-        if workers == 1:
-            roll(0, len(begins), *given)
-            return out, ok
-        edges = [LANES * (blocks * i // workers) for i in range(workers)] + [len(begins)]
-        with ThreadPoolExecutor(workers) as pool:
-            for job in [pool.submit(roll, a, b, *given) for a, b in zip(edges[:-1], edges[1:], strict=True)]:
-                job.result()
+        roll_blocks(_compiled(), len(begins), LANES, given)
         return out, ok
 
     def _numbers(self, models: Sequence[Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -216,9 +204,6 @@ def _compiled() -> Any:
     fields = joint_laws.FIXED
     numbers = ROWS | GROUND | OF_JOINT | dict(DRIVE=DRIVE, LANES=LANES, MEMORY=joint_laws.MEMORY * len(joint_laws.laws()))
     numbers |= dict(ACTIVE=fields.index("active"))
-    text = Path(__file__).with_name("robot_loops.py").read_text(encoding="utf-8")
-    text = re.sub(r"^def ", "@njit(**INNER)\ndef ", text[text.index("\ndef ") :], flags=re.MULTILINE)
-    text = text.replace("@njit(**INNER)\ndef roll(", "@njit(cache=CACHE, nogil=True, **MATH)\ndef roll(")
     head = HEADER[: HEADER.index("\ndef given")]
     parts = [joint_laws.acting_text(), head, *(f"{key} = {value}\n" for key, value in numbers.items()), f"WILD = {WILD}\n"]
-    return numba_build.compiled("".join([*parts, fast_math.source(fast_math.DOUBLE), text])).roll
+    return numba_build.compiled("".join([*parts, fast_math.source(fast_math.DOUBLE), loops_text("robot_loops.py")])).roll

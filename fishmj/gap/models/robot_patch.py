@@ -22,6 +22,7 @@ from fishmj.base.store import temporary_beside
 from fishmj.gap.models import joint_laws
 from fishmj.gap.models.mjcf_text import MjcfElement, MjcfText, NotEditable, with_comment
 from fishmj.gap.models.robot_description import FREE, RobotDescription
+from fishmj.gap.models.robot_kernel import rotation
 
 JOINT = ("stiffness", "jnt_stiffness", "jnt_stiffnesspoly"), ("damping", "dof_damping", "dof_dampingpoly")
 ACTUATOR = ("gainprm", "biasprm", "gear", "forcerange", "ctrlrange", "biastype", "forcelimited")
@@ -362,9 +363,7 @@ def _write_inertia(text: MjcfText, body: MjcfElement, values: dict[str, Any]) ->
 
 def _tensors(inertia: np.ndarray, iquat: np.ndarray) -> np.ndarray:
     """(N, 3, 3) inertia of bodies about their centres of mass, in the bodies' frames, from principal moments and axes."""
-    turn = np.empty((len(iquat), 3, 3))
-    for b, quat in enumerate(iquat):
-        mujoco.mju_quat2Mat(turn[b].reshape(9), quat)
+    turn = rotation(iquat)
     return np.einsum("bij,bj,bkj->bik", turn, inertia, turn)
 
 

@@ -153,14 +153,16 @@ class SwimmingFish(ParameterRow):
         """The calibrated fish times the constants of a row."""
         c = {constant.name: row[i] for i, constant in enumerate(CONSTANTS)}
         s, w = self.nominal, self.nominal.water
-        last = self.chain.n - 1
-        spread = lambda body, tail: [tail if i == last else body for i in range(last + 1)]
-        k = [a * f for a, f in zip(w.k, spread(c["added_mass_body"], c["added_mass_tail"]), strict=True)]
-        cn = [a * f for a, f in zip(w.cn, spread(c["crossflow_body"], c["crossflow_tail"]), strict=True)]
+        k = [a * f for a, f in zip(w.k, self._of_links(c, "added_mass"), strict=True)]
+        cn = [a * f for a, f in zip(w.cn, self._of_links(c, "crossflow"), strict=True)]
         water = w._replace(k=k, cn=cn, cf=w.cf * c["friction"], ke=w.ke * c["trailing_edge"])
         water = water._replace(ca_forward=w.ca_forward * c["form_drag"])
         scaled = lambda values, factor: [value * factor for value in values]
         return s._replace(mass=scaled(s.mass, c["mass"]), kp=scaled(s.kp, c["kp"]), kv=scaled(s.kv, c["kv"]), water=water)
+
+    def _of_links(self, c: dict, name: str) -> list:
+        """Factor of each link: the constant NAME_body, of the last one NAME_tail."""
+        return [c[f"{name}_body"]] * (self.chain.n - 1) + [c[f"{name}_tail"]]
 
     def added_mass(self) -> np.ndarray:
         """(3,) added mass of the straight fish at rest as described: ahead, to the side [kg], in yaw [kg m2]."""
@@ -314,10 +316,8 @@ class ServoStand(SwimmingFish):
     def _swimmer(self, row) -> planar_chain.Swimmer:
         c = {constant.name: row[i] for i, constant in enumerate(self.constants)}
         s, w, wet = self.nominal, self.nominal.water, c[WET]
-        last = self.chain.n - 1
-        tail = lambda body, end: [end if i == last else body for i in range(last + 1)]
-        k = [wet * a * f for a, f in zip(w.k, tail(c["added_mass_body"], c["added_mass_tail"]), strict=True)]
-        cn = [wet * a * f for a, f in zip(w.cn, tail(c["crossflow_body"], c["crossflow_tail"]), strict=True)]
+        k = [wet * a * f for a, f in zip(w.k, self._of_links(c, "added_mass"), strict=True)]
+        cn = [wet * a * f for a, f in zip(w.cn, self._of_links(c, "crossflow"), strict=True)]
         water = w._replace(k=k, cn=cn, cf=wet * w.cf, ke=wet * w.ke * c["trailing_edge"])
         water = water._replace(ca_forward=wet * w.ca_forward, ca_backward=wet * w.ca_backward)
         joints, kv = range(self.joints), self.robot.servo.kv
