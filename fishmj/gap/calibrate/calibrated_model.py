@@ -142,13 +142,8 @@ def short(value: float) -> float:
 
 def recorded(text: str, verb: str, estimates: dict[str, ParameterEstimate], source: str, evidence: str) -> str:
     """The text with a block [calibration.<verb>], in place of an older one."""
-    kept, inside = [], False
-    for line in text.splitlines():
-        if line.startswith("["):
-            inside = line.strip() == f"[calibration.{verb}]"
-        if not inside:
-            kept.append(line)
+    kept = effect_calibration.without_tables(text, f"[calibration.{verb}]")
     rows = [f"[calibration.{verb}]", f'source = "{source}"', f'manifest_sha256 = "{evidence}"']
     for name, e in estimates.items():
         rows.append(f'{name} = {{ value = {e.value:.6g}, low = {e.low:.6g}, high = {e.high:.6g}, unit = "{e.unit}" }}')
-    return "\n".join(kept).rstrip("\n") + "\n\n" + "\n".join(rows) + "\n"
+    return "\n".join([kept, "", *rows, ""])

@@ -4,6 +4,7 @@ Lines and marks never differ by colour alone.
 """
 
 import math
+import textwrap
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from fishmj.gap.records.records import ChannelBlock
 from fishmj.gap.report.report_data import RoundFinalists
 from fishmj.gap.wording import SCALES, level, number
 
+LINE = 14  # characters of a label before it is wrapped
 MAPPED = 16  # finalists in a confusion map; more would be illegible
 INK, QUIET, BAND = "#1F2933", "#5B6570", "#E6EAF0"
 MEASURED, BEFORE, AFTER, ACCENT = INK, VERMILION, BLUE, GREEN
@@ -120,7 +122,8 @@ def heat(p: Localisation) -> str:
                 quiet = "#E6EEF5" if dark else QUIET
                 axis.text(j, i + 0.27, f"z² {_short(p.level[i, k])}", ha="center", va="center", color=quiet, fontsize=7.6)
     time = np.nanmax(p.time[:, seen], 0)
-    regimes = [f"{_wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
+    wrapped = lambda text: textwrap.fill(text, LINE, break_long_words=False, break_on_hyphens=False)
+    regimes = [f"{wrapped(p.kinds[k])}\n{100 * t:.0f} % of time" for k, t in zip(seen, time, strict=True)]
     axis.set_xticks(range(len(seen)), regimes)
     axis.set_yticks(range(len(p.channels)), p.channels, color=INK, fontsize=10)
     _tiles(axis, len(seen), len(p.channels), 8.6)
@@ -242,16 +245,6 @@ def _tenth(value: float) -> str:
 
 def _short(value: float) -> str:
     return number(value) if value >= 10 else f"{value:.1f}"
-
-
-def _wrapped(text: str, width: int = 14) -> str:
-    """Wraps words to lines of about `width`."""
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) >= width:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
-    return "\n".join(lines)
 
 
 HALF = 1.645  # of a 90 % band

@@ -1,6 +1,7 @@
 """Figures of the page, computed from an inquiry: pictures and JSON use the same numbers."""
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,13 +67,14 @@ class ReportData:
     weighed: str
 
 
-def gather(inquiry: Inquiry) -> ReportData:
-    """Computes all data of the report."""
-    gates = inquiry.gates
+def gather(inquiry: Inquiry, place: Any = None) -> ReportData:
+    """Computes all data of the report. place: of a robot in MJCF, a `RobotLocalisation`; it has no growth and no weighings."""
+    gates, growth, weighed = inquiry.gates, (), ""
     e, found = inquiry.evidence, inquiry.found
     c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
-    growth, weighed = curves(e.model, c.records, *c.rows), mass_properties.agreement(e.model, e.records)
-    place = localise(c, gates.adequacy)
+    if place is None:
+        growth, weighed = curves(e.model, c.records, *c.rows), mass_properties.agreement(e.model, e.records)
+        place = localise(c, gates.adequacy)
     return ReportData(inquiry, gates, c, place, growth, channels(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
 
 

@@ -2,15 +2,13 @@
 
 from pathlib import Path
 
-from fishmj.base import pages
 from fishmj.base.figures import style
 from fishmj.base.pages import Section, part, table
 from fishmj.base.store import sha256, write_text
-from fishmj.gap.localise.comparison import compared
 from fishmj.gap.localise.robot_localisation import MOTIONS, RobotLocalisation
 from fishmj.gap.report import sections
 from fishmj.gap.report.pictures import STYLE
-from fishmj.gap.report.report_data import ReportData, after, blind, channels, rounds
+from fishmj.gap.report.report_data import ReportData, gather
 from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import percent, quantity, title
 from fishmj.gap.workflow import Inquiry
@@ -21,27 +19,12 @@ SET_ON = "Some thresholds were chosen on the logs of one robot. Benchmark of the
 
 def write_robot_page(inquiry: Inquiry, place: RobotLocalisation, answers: dict[str, str], folder: Path) -> str:
     """Writes report.html; returns its name. answers: by effect."""
-    e, found = inquiry.evidence, inquiry.found
-    c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
-    gates = inquiry.gates
-    m = ReportData(inquiry, gates, c, place, (), channels(inquiry), rounds(inquiry), blind(inquiry, gates), "")  # type: ignore[arg-type]
-    v, path = inquiry.verdict, e.model.robot.path
+    m, path = gather(inquiry, place), inquiry.evidence.model.robot.path
     with style(STYLE):
-        shown = [sections.gap(m), _where(place), _torques(m), _each(answers, v), sections.candidates(m)]
+        shown = [sections.gap(m), _where(place), _torques(m), _each(answers, inquiry.verdict), sections.candidates(m)]
         shown += [sections.checks(m, SET_ON), sections.invisible(m), sections.records(m)]
-    head = {
-        "robot": robot_line_of(path.stem, str(path), sha256(path)),
-        "synthetic": inquiry.synthetic,
-        "value": sections.value(m),
-        "meaning": sections.escape_text(sections.meaning(m)),
-        "next_step": sections.escape_text(next_step(inquiry)),
-        "figures": sections.figures(m),
-        "contract": sections.CONTRACT,
-        "made": f"gap find · {len(e.records)} logs in the search, {e.runs} null runs of each",
-        "json": "verdict.json",
-    }
-    name = sections.headline(v)
-    write_text(folder / "report.html", pages.report(name, name, shown, "gap.html", mark=v.answer, **head))
+    line = robot_line_of(path.stem, str(path), sha256(path))
+    write_text(folder / "report.html", sections.page_of(m, shown, line, next_step(inquiry), "logs", "verdict.json"))
     return "report.html"
 
 

@@ -29,18 +29,18 @@ SET_ON = "Thresholds were set on null runs and planted effects; the benchmarks u
 
 def html(m: ReportData) -> str:
     """The whole page as one text."""
-    v, e = m.inquiry.verdict, m.inquiry.evidence
     with style(STYLE):
         sections = [gap(m), where(m), trace_section(m), growth(m), candidates(m), forces(m), checks(m), invisible(m), records(m)]
-    head = {
-        "synthetic": m.inquiry.synthetic,
-        "value": value(m),
-        "meaning": escape_text(meaning(m)),
-        "next_step": escape_text(next_step(m)),
-    }
-    made = f"gap find · {len(e.records)} records in the search, {e.runs} null runs of each"
-    head |= {"figures": figures(m), "contract": CONTRACT, "made": made, "json": "report.json"}
-    return pages.report(headline(v), headline(v), sections, "gap.html", mark=v.answer, robot=robot_line(e.model.robot), **head)
+    return page_of(m, sections, robot_line(m.inquiry.evidence.model.robot), next_step(m), "records", "report.json")
+
+
+def page_of(m: ReportData, sections: list[Section], robot: str, step: str, searched: str, json: str) -> str:
+    """The page of some sections. robot: its line. step: the next one. searched: word for the logs. json: file of the figures."""
+    v, e = m.inquiry.verdict, m.inquiry.evidence
+    made = f"gap find · {len(e.records)} {searched} in the search, {e.runs} null runs of each"
+    head = {"robot": robot, "synthetic": m.inquiry.synthetic, "value": value(m), "meaning": escape_text(meaning(m))}
+    head |= {"next_step": escape_text(step), "figures": figures(m), "contract": CONTRACT, "made": made, "json": json}
+    return pages.report(headline(v), headline(v), sections, "gap.html", mark=v.answer, **head)
 
 
 def value(m: ReportData) -> str:
