@@ -14,10 +14,9 @@ import numpy as np
 from fishmj import effects
 from fishmj.base.errors import LogError
 from fishmj.gap.measured.folder import trials
-from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
+from fishmj.gap.measured.planar_body import Hull, PlanarBody
 from fishmj.gap.measured.significance import LEAST_GROUPS, LEVEL, exact_p, smallest_p
 from fishmj.gap.models.swimming_fish import Constant
-from fishmj.gap.records.records import Sensor
 from fishmj.gap.thresholds import thresholds
 from fishmj.log import Trial
 
@@ -63,11 +62,7 @@ def squares(boat: PlanarBody, runs: list[BoatCoast], law: str) -> np.ndarray:
     rows = np.zeros((len(LAWS[law]), len(boat.null)))
     rows[:, 0 if law == "quadratic" else boat.index("linear_surge_drag", "coefficient")] = LAWS[law]
     seconds = np.ceil(max(float(r.t[-1]) for r in runs)) + 1.0
-    starts = np.zeros((len(STARTS), 6))
-    starts[:, 3] = STARTS
-    nothing = Sensor(np.zeros(0), np.zeros((0, 3)), np.ones(3))
-    swim = MeanGait("coast", "coast", boat.dt, np.zeros((1, 2)), starts, float(seconds), nothing)
-    track = boat.tracks([swim], rows)[0][..., 3]  # (C, S, N) at every step
+    track = boat.coasts(STARTS, rows, float(seconds))  # (C, S, N) at every step
     return np.stack([np.array([_least(each, r, boat.dt) for each in track]) for r in runs])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError
 from fishmj.effects.effect import Effect
-from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody
+from fishmj.gap.measured.planar_body import Hull, PlanarBody
 from fishmj.gap.measured.study_logs import Log
 from fishmj.gap.measured.study_schema import StudyInput
 from fishmj.gap.models.swimming_fish import Constant, ParameterRow
@@ -52,11 +52,8 @@ class CoastDown(ParameterRow):
         rows = np.atleast_2d(np.asarray(rows, float))
         step = STRIDE * self.dt
         seconds = step * (np.ceil(max(float(r.pose.t[-1]) for r in records) / step) + 1)
-        states = np.zeros((STARTS, 6))
-        states[:, 3] = self.starts
-        nothing = Sensor(np.zeros(0), np.zeros((0, 3)), np.ones(3))
-        swim = MeanGait("coast", "coast", self.dt, np.zeros((1, 2)), states, float(seconds), nothing)
-        speeds = np.nan_to_num(self.body.tracks([swim], rows, STRIDE)[0][..., 3], nan=1e3, posinf=1e3, neginf=-1e3)  # (R, S, N)
+        tracks = self.body.coasts(self.starts, rows, float(seconds), STRIDE)
+        speeds = np.nan_to_num(tracks, nan=1e3, posinf=1e3, neginf=-1e3)  # (R, S, N)
         return [{"pose": _nearest(speeds, r, step, self.starts)[..., None]} for r in records]
 
 

@@ -186,6 +186,15 @@ class PlanarBody(ParameterRow):
         each = np.split(out.reshape(many, len(starts), *out.shape[1:]), np.cumsum(runs)[:-1], axis=1)
         return [track[:, :, : n // stride + 1] for track, n in zip(each, steps, strict=True)]
 
+    def coasts(self, speeds: np.ndarray, rows, seconds: float, stride: int = 1) -> np.ndarray:
+        """Speeds ahead (R, S, N) of a body without drive over `seconds`, from initial speeds (S,), every `stride` steps."""
+        starts = np.zeros((len(speeds), MOTION))
+        starts[:, 3] = speeds
+        nothing = Sensor(np.zeros(0), np.zeros((0, 3)), np.ones(3))
+        return self.tracks([MeanGait("coast", "coast", self.dt, np.zeros((1, 2)), starts, seconds, nothing)], rows, stride)[0][
+            ..., 3
+        ]
+
     def _covered(self, record: MeanGait, end: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Displacements (R, K, 3) as measured by a camera."""
         parameters = [column[:, None] for column in rows[:, len(self.constants) :].T]

@@ -136,11 +136,8 @@ class Fold:
         plain = whitening(np.zeros((0, self.layout.size)), self.layout.noise())
         first = EffectFitter(study.plant, self.records, self.layout, plain)
         bare = Candidate((), tuple(range(len(study.plant.constants))), study.plant.null, 0.0, np.zeros(0))
-        fit = first.refine([scored(first, start or bare)], FIT)[0]
-        residual = self.layout.residuals(study.plant.predict(self.records, fit.row))[0]
-        self.scatter = Scatter(self.layout, self.groups, residual)
-        self.search = EffectFitter(study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
-        self.base = self.search.refine([scored(self.search, fit)], FIT)[0]
+        self.base = first.refine([scored(first, start or bare)], FIT)[0]
+        self.trust(self.base.row, FIT)
 
     def ranked(self, effects, count: int) -> list[Candidate]:
         """Best `count` candidates with one effect more than the baseline, fitted with all constants."""
@@ -151,12 +148,12 @@ class Fold:
         self.trust(found[0].row)
         return self.refit(found)
 
-    def trust(self, row: np.ndarray) -> None:
+    def trust(self, row: np.ndarray, iterations: int = POLISH) -> None:
         """Uses the residual scatter of this row; the baseline's scatter contains the missing effect and would hide it."""
         residual = self.layout.residuals(self.study.plant.predict(self.records, row))[0]
         self.scatter = Scatter(self.layout, self.groups, residual)
         self.search = EffectFitter(self.study.plant, self.records, self.layout, self.scatter.whiten(self.layout, self.groups))
-        self.base = self.search.refine([scored(self.search, self.base)], POLISH)[0]
+        self.base = self.search.refine([scored(self.search, self.base)], iterations)[0]
 
     def refit(self, candidates: list[Candidate]) -> list[Candidate]:
         """Fits the same effects to these records."""

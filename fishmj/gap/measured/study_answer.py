@@ -219,11 +219,8 @@ def text(study: Study, found: StudyOutcome, verdict: Verdict) -> str:
         behind = ", ".join(f"{c['name']} {c['cost']:.2f} (p {c['p']:.2g})" for c in others)
         lines.append(f"    cost on groups left out, of the model before: {own_cost(r):.2f}; others: {behind}")
         close = [c["name"] for c in others if c["cost"] - own_cost(r) < CLOSE * (1.0 - own_cost(r))]
-        lines += (
-            [f"    within {CLOSE:.0%} of its gain, though behind in the draws: {', '.join(close)}"]
-            if r.accepted and close
-            else []
-        )
+        if r.accepted and close:
+            lines.append(f"    within {CLOSE:.0%} of its gain, though behind in the draws: {', '.join(close)}")
     return "\n".join([*lines, verdict_text(study, verdict)])
 
 
