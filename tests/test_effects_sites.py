@@ -8,9 +8,9 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, sense, swim
 
 from fishmj import effects
 from fishmj.effects import EffectStack
-from fishmj.effects.dry_friction import AT_REST, GIVE
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
 from fishmj.effects.stack import delivered
+from fishmj.effects.stages.actuator_joint import AT_REST, GIVE
 from fishmj.water.dynamics.hooks import Effects
 
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))

@@ -8,9 +8,9 @@ from effect_swim import CHAIN, JOINTS, SWIMMER, H, gait, sense, swim
 
 from fishmj import effects
 from fishmj.effects import EffectStack
-from fishmj.effects.dry_friction import GIVE
 from fishmj.effects.sites import BodyMotion, Gear, SensorReadings
 from fishmj.effects.stack import delivered
+from fishmj.effects.stages.actuator_joint import GIVE
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.dynamics.hooks import Effects
 
