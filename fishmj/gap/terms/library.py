@@ -34,9 +34,12 @@ The faulty sensor determines the log:
 """
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable
-from functools import cache
+from functools import cache, reduce
 from itertools import combinations_with_replacement
+from math import prod
+from operator import mul
 from typing import NamedTuple
 
 from fishmj import effects
@@ -84,24 +87,10 @@ def signed(f: Factor) -> Factor:
 
 def product(*factors: Factor) -> Factor:
     """Product of all factors; equal ones are written as a power."""
-    names: dict[str, int] = {}
-    for f in factors:
-        names[f.name] = names.get(f.name, 0) + 1
     words = {1: "", 2: " squared", 3: " cubed"}
-
-    def value(xp, b):
-        out = factors[0].value(xp, b)
-        for f in factors[1:]:
-            out = out * f.value(xp, b)
-        return out
-
-    parity = 1
-    size = 1.0
-    for f in factors:
-        parity *= f.parity
-        size *= f.size
-    name = " x ".join(name + words[n] for name, n in names.items())
-    return Factor(name, value, parity, size)
+    name = " x ".join(name + words[n] for name, n in Counter(f.name for f in factors).items())
+    value = lambda xp, b: reduce(mul, (f.value(xp, b) for f in factors))
+    return Factor(name, value, prod(f.parity for f in factors), prod(f.size for f in factors))
 
 
 class ReadingCurve(NamedTuple):
