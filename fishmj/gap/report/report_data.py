@@ -69,8 +69,8 @@ class ReportData:
 
 def gather(inquiry: Inquiry, place: Any = None) -> ReportData:
     """Computes all data of the report. place: of a robot in MJCF, a `RobotLocalisation`; it has no growth and no weighings."""
-    gates, growth, weighed = inquiry.gates, (), ""
-    e, found = inquiry.evidence, inquiry.found
+    growth: tuple[GrowthCurve, ...] = ()
+    gates, weighed, e, found = inquiry.gates, "", inquiry.evidence, inquiry.found
     c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
     if place is None:
         growth, weighed = curves(e.model, c.records, *c.rows), mass_properties.agreement(e.model, e.records)
