@@ -159,7 +159,7 @@ def test_an_upward_import_is_found():
     assert wrong_way(solver, "from fishmj.water import prior") and not wrong_way(solver, "from fishmj.water.flow import Flow")
     assert wrong_way(blind, "from fishmj.engines import make") and not wrong_way(blind, "from fishmj.mjcf import load_robot")
     assert wrong_way(LABORATORY / "session.py", "from fishmj.gap.laboratory.generators import mujoco_robot")
-    assert wrong_way(LABORATORY / "weighing_readings.py", "from fishmj.gap.laboratory import virtual_robot")
+    assert wrong_way(LABORATORY / "instruments.py", "from fishmj.gap.laboratory import virtual_robot")
     assert wrong_way(PACKAGE / "deploy" / "loop" / "x.py", "from fishmj.deploy.loopback import loopback_server")
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from fishmj.base.errors import ConfigError
 from fishmj.deploy.rig import rig_prompt, rig_weigh
-from fishmj.gap.laboratory.virtual_robot.trials import plant
-from fishmj.gap.laboratory.virtual_robot.weighing import masses
+from fishmj.gap.laboratory.virtual_robot.trials import masses, plant
 from fishmj.log import measurements
 from fishmj.mjcf.reading import load_robot
 

@@ -17,7 +17,7 @@ from fishmj.gap.commands import admission, find
 from fishmj.gap.experiment import ExperimentScore, Hypothesis
 from fishmj.gap.laboratory.virtual_robot import plant as robot
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import write_hidden
-from fishmj.gap.laboratory.virtual_robot.weighing import masses, page
+from fishmj.gap.laboratory.virtual_robot.trials import masses, page
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.records import datasets, mass_properties
 from fishmj.gap.records.records import ResidualLayout, record_of

@@ -9,9 +9,8 @@ import pytest
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.generators import water_forms
 from fishmj.gap.laboratory.generators.ellipsoid import hull, lamb
-from fishmj.gap.laboratory.generators.family import drawn
+from fishmj.gap.laboratory.generators.family import drawn, family_named
 from fishmj.gap.laboratory.generators.generator_trials import record, robot_of
 from fishmj.gap.laboratory.generators.mujoco_robot import RobotSimulation
 from fishmj.log import excitation
@@ -37,7 +36,7 @@ def loaded(name: str):
     """(family, law, its compiled forces) of the shipped fish."""
     from importlib import import_module
 
-    family = water_forms.get(name)
+    family = family_named(name)
     water = family.build(load_robot(), {k: c.value for k, c in family.coefficients.items()})
     return family, water, import_module(f"fishmj.gap.laboratory.generators.{name}").forces
 
@@ -212,7 +211,7 @@ def test_the_experiments_fit_any_chain():
 
 @pytest.mark.parametrize("name", generators.NAMES)
 def test_one_seed_is_one_robot_and_another_is_another(name):
-    family = water_forms.get(name)
+    family = family_named(name)
     a, b, c = (robot_of(name, {}, seed).coefficients for seed in (4, 4, 5))
     assert a == b and a != c
     for key, known in family.coefficients.items():

@@ -12,8 +12,7 @@ from fishmj.cli import main
 from fishmj.gap.laboratory import generators
 from fishmj.gap.laboratory.generators import effect_catalogue
 from fishmj.gap.laboratory.generators.detectability import SensedChannels, at, channels, shares, spreads, tolerance
-from fishmj.gap.laboratory.generators.generator_trials import robot_of
-from fishmj.gap.laboratory.generators.generator_weighing import weight
+from fishmj.gap.laboratory.generators.generator_trials import robot_of, weight
 from fishmj.gap.laboratory.generators.lab_sensors import sigmas
 from fishmj.gap.laboratory.generators.mujoco_robot import RobotSimulation
 from fishmj.log import excitation

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fishmj.gap.laboratory import generators
-from fishmj.gap.laboratory.generators import prescribed, water_forms
+from fishmj.gap.laboratory.generators import prescribed
+from fishmj.gap.laboratory.generators.family import family_named
 from fishmj.gap.laboratory.generators.generator_trials import robot_of
 from fishmj.gap.laboratory.generators.mujoco_robot import RobotSimulation
 
@@ -31,7 +32,7 @@ def test_added_mass_is_that_of_the_water(name):
 
 def test_drag_of_the_ellipsoid_is_its_law():
     fish = robot_of("ellipsoid", {}, 0, nuisance=0.0)
-    law = water_forms.get("ellipsoid").build(fish.robot, fish.coefficients).law
+    law = family_named("ellipsoid").build(fish.robot, fish.coefficients).law
     u = prescribed.SPEED
     fin = law.fin * 0.02 * u**2  # FRICTION_FIN at no angle of attack
     assert prescribed.of_fish(fish)["drag"] == pytest.approx(float((law.laminar + law.form * u).sum() * u + fin))

@@ -82,7 +82,7 @@ def trials(
 
 def page(family: str, effects: Effects, seed: int, robot: Robot) -> dict:
     """Page of weighings of a robot."""
-    from fishmj.gap.laboratory.virtual_robot.weighing import page as second
+    from fishmj.gap.laboratory.virtual_robot.trials import page as second
 
     if family == SECOND:
         return second(effects, seed, robot=robot)

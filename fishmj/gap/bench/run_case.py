@@ -34,7 +34,7 @@ def run(
     of its weighings, whose errors are the same at every noise.
     """
     from fishmj.gap.laboratory.virtual_robot import generate
-    from fishmj.gap.laboratory.virtual_robot.weighing import page as weighings
+    from fishmj.gap.laboratory.virtual_robot.trials import page as weighings
 
     start = time.monotonic()
     row = {"id": case.id, "kind": case.kind, "truth": case.effects, "seed": case.seed}

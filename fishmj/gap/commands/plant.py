@@ -31,7 +31,7 @@ from fishmj.gap.laboratory.effect_text import split_text
 from fishmj.gap.laboratory.session import trial_name
 from fishmj.gap.laboratory.virtual_robot import hidden_dataset, trials
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
-from fishmj.gap.laboratory.virtual_robot.weighing import page as weighings
+from fishmj.gap.laboratory.virtual_robot.trials import page as weighings
 from fishmj.gap.null.null_runs import LOUDEST
 from fishmj.gap.records import datasets
 from fishmj.log import Trial, excitation, numbered

@@ -14,13 +14,12 @@ The rigid bodies, joints, dry friction and actuators are MuJoCo's own. No packag
 
 from typing import TYPE_CHECKING, Any
 
-from fishmj.gap.laboratory.generators.water_forms import NAMES
+from fishmj.gap.laboratory.generators.family import NAMES
 
 if TYPE_CHECKING:
     from fishmj.gap.laboratory.generators.detectability import detectable
     from fishmj.gap.laboratory.generators.effect_catalogue import hidden, parse
-    from fishmj.gap.laboratory.generators.generator_trials import generate
-    from fishmj.gap.laboratory.generators.generator_weighing import page
+    from fishmj.gap.laboratory.generators.generator_trials import generate, page
 
 __all__ = ["NAMES", "detectable", "generate", "hidden", "page", "parse"]
 _WHERE = {
@@ -28,7 +27,7 @@ _WHERE = {
     "parse": "effect_catalogue",
     "hidden": "effect_catalogue",
     "detectable": "detectability",
-    "page": "generator_weighing",
+    "page": "generator_trials",
 }
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from fishmj import effects
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory.effect_text import check_range, finite_number, split_text
-from fishmj.gap.laboratory.generators.hidden_effect import HiddenEntry
-from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
+from fishmj.gap.laboratory.generators.robot_parameters import HiddenEntry, RobotParameters
 from fishmj.gap.laboratory.generators.uncatalogued_faults import FAULTS
 from fishmj.gap.laboratory.random_streams import generators_stream
 

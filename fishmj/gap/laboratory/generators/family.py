@@ -1,11 +1,15 @@
-"""Interface of a water model: coefficients with tolerances and sources, and a compiled force law."""
+"""Interface of a water model: coefficients with tolerances and sources, and a compiled force law; the models by name."""
 
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from fishmj.base.errors import UnknownName
 from fishmj.mjcf.description import Robot
+
+NAMES = ("morison", "foil", "ellipsoid")  # each is imported and compiled at its first use
 
 
 class Coefficient(NamedTuple):
@@ -43,3 +47,10 @@ def drawn(family: Family, nuisance: float, rng: np.random.Generator) -> dict[str
     """Draws the coefficients of one healthy robot. nuisance: 0.1 draws within the tolerances, 0 takes the nominal values."""
     size = nuisance / 0.1
     return {name: c.value * (1.0 + size * c.tolerance * rng.uniform(-1.0, 1.0)) for name, c in family.coefficients.items()}
+
+
+def family_named(name: str) -> Family:
+    """Returns a family. Raises UnknownName, which lists the families; MissingExtra: no numba."""
+    if name not in NAMES:
+        raise UnknownName("generator", name, NAMES)
+    return import_module(f"fishmj.gap.laboratory.generators.{name}").FAMILY

@@ -6,19 +6,24 @@
 A seed fixes the robot's constants and the noise, whatever is hidden and for any number of experiments.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
-from fishmj.gap.laboratory.generators import effect_catalogue, lab_sensors, water_forms
-from fishmj.gap.laboratory.generators.mujoco_robot import STEP, TrueMotion, swim
+from fishmj.gap.laboratory.generators import effect_catalogue, lab_sensors
+from fishmj.gap.laboratory.generators.family import family_named
+from fishmj.gap.laboratory.generators.mujoco_robot import STEP, RobotSimulation, TrueMotion, swim
 from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters, healthy
+from fishmj.gap.laboratory.instruments import weighing_page
 from fishmj.gap.laboratory.random_streams import generators_stream
 from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, place_by_hand, sent_commands, trial_meta
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot
+from fishmj.mjcf.geometry import geometry_of
 from fishmj.mjcf.reading import load_robot
 
 LINKS = (2, 8)  # fewest and most of a fish
@@ -42,7 +47,7 @@ def robot_of(
         has = f"{described.name} has {len(described.links)} links"
         raise ConfigError(f"generator {family}: {has}; expected {LINKS[0]} to {LINKS[1]}")
     stream = (flow[0] * np.cos(flow[1]), flow[0] * np.sin(flow[1]))
-    fish = healthy(described, water_forms.get(family), seed, nuisance, stream)
+    fish = healthy(described, family_named(family), seed, nuisance, stream)
     known = effect_catalogue.hidden()
     for name, values in effects.items():
         if name not in known:
@@ -58,7 +63,7 @@ def generate(
     """One trial per excitation, in order; a repeated one is a replicate with its own noise.
 
     Args:
-        family: a name of `water_forms`. effects: {name: {parameter: value}}, SI; {} hides nothing.
+        family: a name of `family.NAMES`. effects: {name: {parameter: value}}, SI; {} hides nothing.
         noise: factor on the noise of every sensor and of the placing; 0 leaves quantisation and latencies.
         nuisance: relative half width of unmeasured constants; 0.1 takes the tolerance of each.
         tick: receives the number of finished trials.
@@ -107,3 +112,41 @@ def trial_of(
         notes=" by a generator with another form of water",
     )  # fmt: skip
     return Trial(meta, tables, name=name)
+
+
+# ----------------------------------------------------------------------------------------------------------------------- weighing
+THREAD, APART = 1.0, 0.25  # m
+
+
+class Weight(NamedTuple):
+    """True values of the straight fish."""
+
+    links: np.ndarray  # (N,) kg
+    balance: float  # m from the nose
+    inertia: float  # kg m2 in yaw, about the balance point
+
+
+def weight(run: RobotSimulation) -> Weight:
+    """Weight from MuJoCo's model; added sliding or hinged bodies count to the link that holds them."""
+    model, data = run.model, run.data
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_kinematics(model, data)
+    mass, x = model.body_mass, data.xipos[:, 0]
+    turned = data.ximat.reshape(-1, 3, 3)
+    own = np.einsum("bi,bi->b", turned[:, 2] ** 2, model.body_inertia)
+    names = [link.name for link in run.fish.robot.links]
+    links = np.zeros(len(names))
+    for body in range(1, model.nbody):
+        holder = body if model.body(body).name in names else int(model.body_parentid[body])
+        links[names.index(model.body(holder).name)] += mass[body]
+    middle = float(mass @ x / mass.sum())
+    inertia = float(np.sum(own + mass * (x - middle) ** 2))
+    return Weight(links, float(geometry_of(run.fish.robot).span[0, 1]) - middle, inertia)
+
+
+def page(family: str, effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
+    """Content of `measurements.toml` of a seed's robot, three readings per quantity. Raises as `generator_trials.robot_of`."""
+    fish = robot_of(family, effects, seed, nuisance=nuisance, robot=robot)
+    found, names = weight(RobotSimulation(fish)), [link.name for link in fish.robot.links]
+    links, rng = dict(zip(names, found.links, strict=True)), generators_stream(seed, "weighing")
+    return weighing_page(f"fishmj.generators, {family}", links, found.balance, found.inertia, THREAD, APART, rng)

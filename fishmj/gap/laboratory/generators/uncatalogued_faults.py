@@ -10,9 +10,8 @@ import mujoco
 import numpy as np
 
 from fishmj.effects import Parameter
-from fishmj.gap.laboratory.generators.hidden_effect import HiddenEntry
 from fishmj.gap.laboratory.generators.mujoco_robot import LOOSE, SLOSH
-from fishmj.gap.laboratory.generators.robot_parameters import RobotParameters
+from fishmj.gap.laboratory.generators.robot_parameters import HiddenEntry, RobotParameters
 
 
 def at(hook: str) -> Callable:

@@ -21,8 +21,7 @@ from fishmj.base.errors import ConfigError
 from fishmj.base.store import Manifest, sha256, write_json
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.virtual_robot.robot_constants import RobotConstants
-from fishmj.gap.laboratory.virtual_robot.trials import plant, trial_of
-from fishmj.gap.laboratory.virtual_robot.weighing import masses, weighings
+from fishmj.gap.laboratory.virtual_robot.trials import masses, plant, trial_of, weighings
 from fishmj.lbm_oracle.run.domain import EVERY
 from fishmj.log import Trial, excitation, write_dataset
 from fishmj.log.excitation import PERIOD, Excitation

@@ -13,7 +13,7 @@ import numpy as np
 
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.gap.laboratory import random_streams
-from fishmj.gap.laboratory.instruments import noise_sigmas
+from fishmj.gap.laboratory.instruments import noise_sigmas, weighing_page
 from fishmj.gap.laboratory.session import CLOCKS, Effects, experiments, place_by_hand, sent_commands, trial_meta
 from fishmj.gap.laboratory.virtual_robot import network
 from fishmj.gap.laboratory.virtual_robot import sensors as cameras
@@ -164,3 +164,29 @@ def sigmas(made: RobotConstants, noise: float) -> dict[str, float]:
         "start": noise * made.placing.position,
         "start_yaw": noise * made.placing.heading,
     }
+
+
+# ----------------------------------------------------------------------------------------------------------------------- weighing
+THREAD, APART = 1.2, 0.30  # m
+
+
+def masses(made: RobotConstants) -> dict[str, float]:
+    """True values: mass [kg], com (balance point from the nose) [m], inertia (yaw, about the balance point) [kg m2]."""
+    body, origin = made.body, np.concatenate([[0.0], np.cumsum(made.body.hinge[:-1])])
+    first = float(np.sum(body.first + body.mass * origin))
+    second = float(np.sum(body.second + 2 * origin * body.first + body.mass * origin**2))
+    middle = first / body.total
+    nose = float(body.hinge[0] + made.robot.links[0].length)
+    return {"mass": body.total, "com": nose - middle, "inertia": second - body.total * middle**2}
+
+
+def page(effects: Mapping, seed: int, nuisance: float = 0.1, robot: "str | Robot" = "fish") -> dict:
+    """Weighing table of a seed's robot with hidden effects."""
+    return weighings(plant(effects, seed, nuisance=nuisance, robot=robot), random_streams.stream(seed, "weighing"))
+
+
+def weighings(made: RobotConstants, rng: np.random.Generator) -> dict:
+    """Weighing table of a robot: three readings of each quantity."""
+    truth, names = masses(made), [link.name for link in made.robot.links]
+    links = dict(zip(names, made.body.mass, strict=True))
+    return weighing_page("fishmj.virtual_robot", links, truth["com"], truth["inertia"], THREAD, APART, rng)
