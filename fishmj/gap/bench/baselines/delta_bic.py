@@ -6,8 +6,7 @@ tau from the autocorrelation of the residual that the model leaves (Schwarz 1978
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, values
-from fishmj.gap.bench.baselines.noise import channels, effective, searching
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, channels, effective, searching, values
 from fishmj.gap.records.records import Record
 
 STRONG = 10.0

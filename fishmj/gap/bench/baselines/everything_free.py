@@ -9,8 +9,7 @@ import os
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, values
-from fishmj.gap.bench.baselines.noise import searching
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, searching, values
 from fishmj.gap.records.records import Record
 from fishmj.gap.search.fit import bounds
 from fishmj.gap.thresholds import thresholds

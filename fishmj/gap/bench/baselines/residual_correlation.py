@@ -8,8 +8,7 @@ The largest rho / bound above LOUD is named by the effect for which such a corre
 
 import numpy as np
 
-from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, unsized
-from fishmj.gap.bench.baselines.noise import correlation_time
+from fishmj.gap.bench.baselines.baseline_answer import NOTHING, BaselineAnswer, correlation_time, unsized
 from fishmj.gap.records.records import ChannelBlock, Record, ResidualLayout
 
 LEVEL = 2.58
