@@ -15,7 +15,7 @@ import pytest
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.store import Manifest
-from fishmj.gap.measured import download, fetch
+from fishmj.gap.measured import fetch
 
 FILES = {f"log {i}.csv": f"t,x\n0,{i}\n".encode() * (2000 * (i + 1)) for i in range(3)}
 LICENCE = b"do as you like\n"
@@ -78,7 +78,7 @@ class Server:
 def server(monkeypatch):
     for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(download, "PAUSE", 0.0)
+    monkeypatch.setattr(fetch, "PAUSE", 0.0)
     made = Server()
     yield made
     made.close()

@@ -11,10 +11,9 @@ from fishmj.gap.commands import plant
 from fishmj.gap.measured import planar_body as bodies
 from fishmj.gap.measured import servo_model as servos
 from fishmj.gap.measured.decoy_terms import RIVALS
-from fishmj.gap.measured.floor import Scatter
 from fishmj.gap.measured.planar_body import Hull, MeanGait, PlanarBody, covered
 from fishmj.gap.measured.servo_model import OneServo, Pendulum, PendulumLog, ServoMotor
-from fishmj.gap.measured.study import Fold, Study, investigate
+from fishmj.gap.measured.study import Fold, Scatter, Study, investigate
 from fishmj.gap.measured.study_answer import answer
 from fishmj.gap.models.swimming_fish import Constant, SwimmingFish
 from fishmj.gap.records.records import ResidualLayout, Sensor
