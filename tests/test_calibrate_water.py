@@ -16,7 +16,7 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError, LogError
 from fishmj.gap.bench.water_families import SWIMS as GUIDE
 from fishmj.gap.calibrate import __main__ as command
-from fishmj.gap.calibrate import calibrated_model, commands, water_doubts, water_fit
+from fishmj.gap.calibrate import calibrated_model, commands, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs
 from fishmj.gap.calibrate.parameter_fit import FreeParameter, Minimum, ParameterEstimate, minimum
 from fishmj.gap.calibrate.water_plant import PHYSICAL, SPEED, WaterPlant, carried_thrust, physical
@@ -330,13 +330,13 @@ def test_numbers_that_a_water_relied_on_are_those_that_no_calibration_states(tmp
     mine, whole = tmp_path / "mine.toml", calibrated_model.start(tmp_path / "none.toml", "fish")
     estimate = ParameterEstimate("", "s", 0.1, 0.09, 0.11, 0.01, "trials")
     calibrated_model.write(mine, whole, "servo", {"kp": estimate, "command_latency": estimate}, {}, tmp_path)
-    (line,) = water_doubts.unmeasured(str(mine))
+    (line,) = water_fit.unmeasured(str(mine))
     assert line.startswith("relied on camera_latency as described")
-    (line,) = water_doubts.unmeasured("fish", mine)
+    (line,) = water_fit.unmeasured("fish", mine)
     assert line.endswith(f"but {mine} does: fit again with --model {mine}")
     text = mine.read_text(encoding="utf-8")
     calibrated_model.write(mine, text, "latency", {"camera_latency": estimate}, {}, tmp_path)
-    assert water_doubts.unmeasured(str(mine)) == []
+    assert water_fit.unmeasured(str(mine)) == []
 
 
 @pytest.mark.slow

@@ -19,8 +19,8 @@ from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.laboratory.virtual_robot.robot_constants import buildable
 from fishmj.gap.laboratory.virtual_robot.simulate import columns
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null.log_sensors import log_sensors
 from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
+from fishmj.gap.null.second_robot import log_sensors
 from fishmj.gap.records.records import record_of
 from fishmj.gap.workflow import investigate
 from fishmj.log import Trial, excitation

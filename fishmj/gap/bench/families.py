@@ -24,7 +24,7 @@ from fishmj.gap.laboratory.generators.detectability import (
     spreads,
 )
 from fishmj.gap.laboratory.session import Effects
-from fishmj.gap.records.movement import mean_speed_and_yaw_rate
+from fishmj.gap.records.records import mean_speed_and_yaw_rate
 from fishmj.log import Trial, excitation
 from fishmj.log.excitation import Excitation
 from fishmj.mjcf.description import Robot

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.base import console
 from fishmj.base.errors import LogError
-from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_doubts, water_fit
+from fishmj.gap.calibrate import calibrated_model, fit_plots, mass, servo_fit, slip, water_fit
 from fishmj.gap.calibrate.calibration_logs import Logs, read, smoothing
 from fishmj.gap.calibrate.parameter_fit import ParameterEstimate, widened
 from fishmj.gap.calibrate.water_plant import WaterPlant
@@ -219,7 +219,7 @@ def run_water(args) -> Answer:
     robot = load_robot(args.model)
     logs, plant = open_logs(args, robot), WaterPlant(robot)
     names = water_fit.swims(logs)
-    for note in (unnamed := water_doubts.unnamed(logs.trials[name] for name in names)):
+    for note in (unnamed := water_fit.unnamed(logs.trials[name] for name in names)):
         console.warn(note)
     compile_kernel(plant, console.say)
     found = water_fit.calibrate(logs, plant, bars=terminal_bar)
@@ -228,8 +228,8 @@ def run_water(args) -> Answer:
         f"speed error on held-out swims: {100 * left.value:.1f} % on average,"
         f" {100 * left.high:.1f} % at worst; with the described water {100 * float(np.nanmean(begin)):.1f} % on average"
     )
-    doubts, poor = water_doubts.doubts(found), water_doubts.too_poor(found)
-    doubts += [*unnamed, *water_doubts.unmeasured(args.model, args.out)]
+    doubts, poor = water_fit.doubts(found), water_fit.too_poor(found)
+    doubts += [*unnamed, *water_fit.unmeasured(args.model, args.out)]
     earlier = {swim.trial: swim for swim in found.before}
     swims = [
         {

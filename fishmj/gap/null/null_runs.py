@@ -3,7 +3,7 @@
     residuals(model, records, layout) -> (n, m)      the model's residuals on n simulated fish with the same commands
 
 The simulator is `virtual_robot`. It has its own equations for water, servos, network and camera; the searched model's links,
-servos and timing, without the effects that the model lists; the sensors of the logs (log_sensors.py); and constants drawn within
+servos and timing, without the effects that the model lists; the sensors of the logs (second_robot.py); and constants drawn within
 their tolerance, the same in all experiments of one fish. Results are cached on disk under the hash of all inputs, including the
 code of simulator and model (`digest`), so a standard experiment is run once per machine.
 
@@ -29,8 +29,7 @@ from fishmj.base.compile_cache import cache_folder
 from fishmj.base.errors import LogError, SimDiverged, StoreError
 from fishmj.base.store import read_npz, sha256, write_npz
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales
-from fishmj.gap.null.log_sensors import log_sensors
-from fishmj.gap.null.matched_water import scales_for
+from fishmj.gap.null.second_robot import log_sensors, scales_for
 from fishmj.gap.progress import Bars, silent_bar
 from fishmj.gap.records import mass_properties
 from fishmj.gap.records.records import WINDOW, Record, ResidualLayout, record_of
@@ -45,7 +44,7 @@ RUNS = 96
 MOST_RUNS, LOUDEST, LAST_SEED = 4096, 100.0, 2**31 - 1  # largest allowed settings
 FEWEST = 12  # least number of fish in recorded runs
 ALIKE = 1e-3  # rad between two commands, m and rad between two starts
-SIMULATOR = ("fishmj.gap.laboratory.virtual_robot.trials", "fishmj.gap.null.log_sensors", "fishmj.gap.null.matched_water")
+SIMULATOR = ("fishmj.gap.laboratory.virtual_robot.trials", "fishmj.gap.null.second_robot")
 SOURCES = Path(fishmj.__file__).resolve().parent
 
 

@@ -10,8 +10,8 @@ pytest.importorskip("numba")
 from fishmj.base.calib import read_toml, resolve
 from fishmj.gap.laboratory.virtual_robot.robot_constants import AS_IT_IS, WaterScales, nominal
 from fishmj.gap.models.swimming_fish import SwimmingFish
-from fishmj.gap.null import matched_water
-from fishmj.gap.records.movement import mean_speed_and_yaw_rate
+from fishmj.gap.null import second_robot
+from fishmj.gap.records.records import mean_speed_and_yaw_rate
 from fishmj.mjcf.reading import load_robot
 
 FISH = load_robot("fish")
@@ -24,7 +24,7 @@ def calibrated(**water):
 
 def speeds(model, scales) -> tuple[np.ndarray, np.ndarray]:
     """Of the second robot and of the model, m/s."""
-    records = matched_water.swim_second_robot(model.robot, scales, model.dt)
+    records = second_robot.swim_second_robot(model.robot, scales, model.dt)
     shown = model.predict(records, model.nothing)
     paces = [
         (mean_speed_and_yaw_rate(r.pose.t, r.pose.values)[0], mean_speed_and_yaw_rate(r.pose.t, p["pose"][0])[0])
@@ -34,7 +34,7 @@ def speeds(model, scales) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_description_of_literature_values_is_left_alone():
-    assert matched_water.scales_for(SwimmingFish(FISH, [])) is AS_IT_IS
+    assert second_robot.scales_for(SwimmingFish(FISH, [])) is AS_IT_IS
     assert nominal(FISH, scales=WaterScales()).water == nominal(FISH).water
 
 
@@ -50,7 +50,7 @@ def test_scales_are_factors_on_the_second_robots_own_water():
 @pytest.mark.slow
 def test_the_second_robot_swims_as_a_calibrated_model_does():
     model = SwimmingFish(calibrated(k=[0.6, 0.6, 0.6, 0.5], cn=[2.0, 2.0, 2.0, 3.0], ke=0.9, suction=0.3))
-    scales = matched_water.scales_for(model)
+    scales = second_robot.scales_for(model)
     before, after = (np.abs(mine / theirs - 1.0)[:4] for mine, theirs in (speeds(model, AS_IT_IS), speeds(model, scales)))
     assert before.mean() > 0.15 and after.mean() < 0.05
-    assert matched_water.scales_for(model) is scales
+    assert second_robot.scales_for(model) is scales
