@@ -15,7 +15,7 @@ from fishmj.evaluate.metrics import figures
 from fishmj.lbm_oracle.fluid import guard
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.immersed import snapshot
-from fishmj.lbm_oracle.run import stability, swim
+from fishmj.lbm_oracle.run import solver_water, stability, swim
 from fishmj.lbm_oracle.run.domain import Domain, margin
 from fishmj.lbm_oracle.run.setup import SwimSetup
 from fishmj.log import read_trial
@@ -109,7 +109,8 @@ def test_fault_10_trial_leaving_its_tank_is_flagged_failed_water_unscored(tmp_pa
     robot = load_robot("fish")
     plan = trials(speeds=[0.4], los_deg=[0], repeats=1, duration=1.0)
     box = Domain(name="narrow", shape=(116, 28, 16), dx=0.02, dt=0.004, sponge=4)  # half a length of room behind the fish
-    monkeypatch.setattr(lbm, "preset", lambda name: box)
+    for module in (lbm, solver_water):
+        monkeypatch.setattr(module, "preset", lambda name: box)
     judge = lambda folder: run_trials.judge_in_solver(control.make("drift", robot), robot, plan, folder, domain="x", device="cpu")
     left = judge(tmp_path)
     tick = int(left.left[0])

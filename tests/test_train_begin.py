@@ -49,7 +49,7 @@ def test_resumed_run_that_is_complete_says_that_nothing_is_trained(tmp_path, cap
     assert console.run(main, ["--resume", "--steps", "256", "--out", str(tmp_path / "run")]) == console.OK
     assert "has 256 control steps of 256 already: nothing to train; raise --steps" in capsys.readouterr().err
     assert console.run(main, ["--resume", "--steps", "100", "--out", str(tmp_path / "run")]) == console.BAD_INPUT
-    assert "got --steps 100 and 256 are trained already; expected a larger total" in capsys.readouterr().err
+    assert "got --steps 100, but 256 are trained already; expected a larger total" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("other", ["--resume", "--together"])
