@@ -228,6 +228,15 @@ def test_what_was_compiled_is_kept(double):
     assert (cache_folder() / f"{name}.py").is_file() and list(cache_folder().rglob(f"{name}.advance*.nbc"))
 
 
+def test_the_first_process_loads_its_code_as_later_ones_do(tmp_path, monkeypatch):
+    """Code that numba has just compiled rounds otherwise than the same code from its cache."""
+    monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
+    text = "from numba import int64, njit\n\n\n@njit(int64(int64), cache=CACHE)\ndef next_to(x):\n    return x + 1\n"
+    module = numba_build.compiled(text, typed=True)
+    assert module.next_to(2) == 3
+    assert (module.next_to.stats.cache_hits.total(), module.next_to.stats.cache_misses.total()) == (1, 0)
+
+
 def test_a_torn_module_is_rewritten(tmp_path, monkeypatch):
     monkeypatch.setenv("FISHMJ_CACHE", str(tmp_path))
     path = Path(numba_build.compiled("from numba import njit\n\n\n@njit(cache=CACHE)\ndef one():\n    return 1\n").__file__)

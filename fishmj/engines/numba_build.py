@@ -9,7 +9,9 @@ is run. If the cache folder (`compile_cache`) is not writable, every process com
 """
 
 import hashlib
+import os
 import re
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -220,17 +222,22 @@ def load(robot: Robot, entry: str, precision: fast_math.Precision) -> ModuleType
     Raises MissingExtra: numba is not installed.
     """
     require_numba()
-    return compiled(write(robot, entry, precision))
+    return compiled(write(robot, entry, precision), typed=True)
 
 
-def compiled(text: str) -> ModuleType:
-    """Module made of `text`; its `CACHE` is True if numba may keep machine code on disk."""
+def compiled(text: str, typed: bool = False) -> ModuleType:
+    """Module made of `text`; its `CACHE` is True if numba may keep machine code on disk.
+
+    typed: the entry points state their types, so that an import compiles them; this process then loads them from the cache.
+    """
     numba = require_numba()
     writer = Path(__file__).with_name("lane_code.py").read_text(encoding="utf-8")  # the machine code depends on it, too
     name = "fishmj_" + hashlib.sha256(f"{numba.__version__} {sys.version} {writer} {text}".encode()).hexdigest()[:24]
     if name in sys.modules:
         return sys.modules[name]
     path = keep(cache_folder() / f"{name}.py", "CACHE = True\n" + text)
+    if typed and path is not None and not any(path.parent.glob(f"__pycache__/{name}.*.nbi")):
+        compile_in_other_process(text)
     module = ModuleType(name)
     module.__file__ = str(path or f"<{name}>")
     module.__dict__["TEXT"] = text
@@ -241,6 +248,17 @@ def compiled(text: str) -> ModuleType:
         del sys.modules[name]
         raise
     return module
+
+
+def compile_in_other_process(text: str) -> None:
+    """Puts the machine code of a module into the cache, so that every process computes the same bits from the first call on.
+
+    Where numba compiles, calls reach inner functions as they were compiled alone. Where it loads, they reach the copies in the
+    entry point's object file, which are optimised there and round otherwise. If the process fails, this one compiles.
+    """
+    code = "import sys; from fishmj.engines import numba_build; numba_build.compiled(sys.stdin.read())"
+    around = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONIOENCODING": "utf-8"}
+    subprocess.run([sys.executable, "-P", "-c", code], input=text.encode(), env=around, capture_output=True, check=False)
 
 
 def require_numba() -> ModuleType:
