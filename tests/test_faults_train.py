@@ -96,7 +96,9 @@ def test_fault_02_divergence_above_0_1_percent_stops_with_checkpoint_kept(learne
         return training, {**figures, "diverged": 3}
 
     monkeypatch.setattr(again, "algorithm", type("Spoiled", (), {"iterate": staticmethod(spoiled), "steps_per_iteration": STEP}))
-    with pytest.raises(SimDiverged, match=r"3 of \d+ episodes at step 24,576 diverged and were dropped, more than 0.1%") as caught:
+    with pytest.raises(
+        SimDiverged, match=r"3 of \d+ episodes at step 24,576 diverged and were dropped, more than 0.1%"
+    ) as caught:
         again.go()
     assert caught.value.term == "physics"
     after = TrainingRun(settings, tmp_path, learner=learner, resume=True, quiet=True)
