@@ -19,6 +19,7 @@ from fishmj.effects import __main__ as verb
 from fishmj.effects.effect import Effect, Parameter
 from fishmj.effects.effect_calibration import FittedEffect, Interval
 from fishmj.effects.randomise import draw
+from fishmj.effects.robot_scales import QUANTITIES
 from fishmj.effects.sites import BodyMotion, FlowAt, Gear, LocalWater, SensorReadings, ServoDrive
 from fishmj.effects.stack import delivered
 from fishmj.log import excitation
@@ -135,7 +136,9 @@ FIELDS = {"servo": ServoDrive, "gear": Gear, "body": BodyMotion, "water": LocalW
 
 def at_site(xp, effect: Effect, site: str, parameters, given: dict):
     """What an effect makes of a site, as a flat list. given: field -> value; missing ones are 0."""
-    p = SimpleNamespace(**dict(zip((p.name for p in effect.parameters), parameters, strict=True)), joint=0)
+    p = SimpleNamespace(
+        **dict(zip((p.name for p in effect.parameters), parameters, strict=True)), joint=0, robot=effects.RobotScales()
+    )
     function = getattr(effect, site)
     if site == "command":
         out = function(xp, p, given["value"], effect.memory, 0.004)
@@ -220,6 +223,41 @@ def test_typical_values_lie_inside_the_bounds_and_away_from_the_null():
             assert p.low <= p.typical[0] < p.typical[1] <= p.high, (e.name, p.name)
             assert p.shape or not p.typical[0] <= p.null <= p.typical[1], (e.name, p.name)
         assert not e.parameters[0].shape, e.name
+
+
+def test_sizes_of_effects_are_those_of_the_described_robot():
+    """To the bit those of the catalogue for the default fish; in proportion to its own constants for any other."""
+    fish, other = (
+        effects.RobotScales.of(load_robot("fish")),
+        effects.RobotScales(torque=0.52, speed_no_load=10.472, length=0.2675),
+    )
+    assert fish == effects.RobotScales() and all(e.on_robot(fish) is e for e in EVERY)
+    assert all(q in {p.of for e in EVERY for p in e.parameters} for q in QUANTITIES)
+    own = lambda name: CATALOGUE[name].on_robot(other).parameters[0]
+    assert (own("torque_saturation").null, own("torque_saturation").high) == (0.52, 0.52)
+    assert own("torque_saturation").typical == pytest.approx((0.8 * 0.52 / 1.667, 1.2 * 0.52 / 1.667))
+    assert own("speed_limit").typical == pytest.approx((0.105, 0.25)) and own("yaw_drag").high == pytest.approx(1 / 32)
+    assert own("com_offset").low == pytest.approx(-0.05) and own("linear_surge_drag").high == pytest.approx(1.25)
+    assert own("command_latency") is CATALOGUE["command_latency"].parameters[0]
+    assert EffectStack(EVERY, 3, other).null[EffectStack(EVERY, 3).index("torque_saturation", "limit")] == 0.52
+    for e in EVERY:
+        for p in e.on_robot(other).parameters:
+            assert p.low <= p.typical[0] < p.typical[1] <= p.high, (e.name, p.name)
+    with pytest.raises(ConfigError, match="choose one of torque, damping"):
+        Parameter(name="x", unit="1", low=0.0, high=1.0, typical=(0.1, 0.2), of="colour")
+
+
+def test_a_description_may_hold_a_torque_limit_of_its_own_servo(tmp_path):
+    """5 N m lie beyond the default fish's servo; 2 N m do not limit a servo of 1.667 N m, so that is refused."""
+    text = (calib_folder() / "fish.toml").read_text() + '[[effect]]\nname = "torque_saturation"\nparameters.limit = 5.0\n'
+    strong = text.replace("torque = 1.667 ", "torque = 6.0 ").replace("kd = 0.32", "kd = 1.3")
+    (tmp_path / "strong.toml").write_text(strong)
+    robot = load_robot(tmp_path / "strong.toml")
+    active, row = effect_calibration.activate(robot.effects, 3, effects.RobotScales.of(robot))
+    assert active.null == [6.0] and list(row) == [5.0]
+    (tmp_path / "usual.toml").write_text(text)
+    with pytest.raises(ConfigError, match="outside the bounds 0.02 to 1.667"):
+        load_robot(tmp_path / "usual.toml")
 
 
 def test_an_impossible_effect_is_refused():

@@ -117,7 +117,9 @@ def test_the_log_of_one_fish_holds_what_late_and_crooked_sensors_report(swim):
     np.testing.assert_allclose(joint["j2"][20:], np.interp(at, truth["t"], truth["j2"]) - offset, rtol=0, atol=5e-3)
     more = effects.get("power_offset").parameter("power").probe
     sag, drawn = effects.get("voltage_sag"), SensorReadings(*[0.0] * 5, power=trace.power[0] + robot.servo.idle_power)
-    left = sag.measure(np, SimpleNamespace(resistance=sag.parameter("resistance").probe), drawn).power
+    left = sag.measure(
+        np, SimpleNamespace(robot=effects.RobotScales(), resistance=sag.parameter("resistance").probe), drawn
+    ).power
     np.testing.assert_allclose(power["V"] * power["I"], left + more, rtol=0, atol=1e-6)
 
 

@@ -16,6 +16,11 @@ from fishmj.water.dynamics.hooks import Effects
 AIR = SWIMMER._replace(water=SWIMMER.water._replace(k=[0.0] * 4, cn=[0.0] * 4, cf=0.0, ca_forward=0.0, ca_backward=0.0, ke=0.0))
 
 
+def values(**given) -> SimpleNamespace:
+    """Parameters of an effect on the default fish."""
+    return SimpleNamespace(**given, robot=effects.RobotScales())
+
+
 def one(name: str, **values):
     """(Active of one effect, its parameter row)."""
     active = EffectStack([effects.get(name)], JOINTS)
@@ -60,13 +65,32 @@ def test_dead_band_is_silent_inside_and_whole_outside():
 
 def test_supply_and_heat_weaken_the_servo_in_proportion():
     given = fields(ServoDrive, limit=1.667, kp=8.0, kv=0.1, current=3.7, time=100.0)
-    s, _ = effects.get("voltage_sag").servo(np, SimpleNamespace(resistance=0.4), given, (), H)
+    s, _ = effects.get("voltage_sag").servo(np, values(resistance=0.4), given, (), H)
     left = (7.4 - 0.4 * (3.7 + 1.5 / 7.4)) / 7.4
     assert np.isclose(s.limit, 1.667 * left) and np.isclose(s.kp, 8.0 * left)
     s, _ = effects.get("thermal_derating").servo(np, SimpleNamespace(rate=0.001), given, (), H)
     assert np.isclose(s.limit, 1.667 * np.exp(-0.1)) and np.isclose(s.kp, 8 * np.exp(-0.1))
-    s, _ = effects.get("torque_saturation").servo(np, SimpleNamespace(limit=1.0), given, (), H)
+    s, _ = effects.get("torque_saturation").servo(np, values(limit=1.0), given, (), H)
     assert s.limit == 1.0
+
+
+def test_laws_take_length_and_voltage_from_the_described_robot():
+    """A servo of 5 V sags by R I / 5; half the length feels a wall half as far."""
+    mine = effects.RobotScales(length=0.2675, voltage=5.0, idle_power=0.5, torque=3.0)
+    p = lambda **given: SimpleNamespace(**given, robot=mine)
+    given = fields(ServoDrive, limit=3.0, kp=8.0, kv=0.1, current=0.9)
+    s, _ = effects.get("voltage_sag").servo(np, p(resistance=0.4), given, (), H)
+    assert np.isclose(s.limit, 3.0 * (1.0 - 0.4 * (0.9 + 0.5 / 5.0) / 5.0))
+    s, _ = effects.get("torque_saturation").servo(np, p(limit=2.0), given, (), H)
+    assert s.limit == 2.0  # above the default fish's stall torque
+    whole = effects.get("torque_saturation").on_robot(mine).parameters[0].null
+    s, _ = effects.get("torque_saturation").servo(np, p(limit=whole), given._replace(limit=3.3), (), H)
+    assert s.limit == 3.3  # at the null any servo keeps its own limit
+    wave, _ = effects.get("free_surface").body(np, p(gain=8.0), fields(BodyMotion, u=0.4, wet=1.0), (), H)
+    assert np.isclose(wave.fx, -8.0 * 0.4**4 / (9.81 * 0.2675))
+    water = fields(LocalWater, x=1.5325, forces=[(2.0, 0.0, 0.0)], instant=[(1.0, 0.0, 0.0)])
+    near, _ = effects.get("wall_effect").water(np, p(gain=0.4), water, (), H)
+    assert np.isclose(near.forces[0][0], 2.0 + 0.4 * np.exp(-1.0))
 
 
 def rubbed(name, drive, seconds, rate=0.0, inertia=3e-4, **p):
@@ -152,7 +176,7 @@ def test_wake_reaches_63_per_cent_of_a_new_force_after_its_time():
 
 
 def test_wall_effect_raises_drag_by_its_gain_and_decays_with_distance():
-    water, p = effects.get("wall_effect").water, SimpleNamespace(gain=0.4)
+    water, p = effects.get("wall_effect").water, values(gain=0.4)
     given = fields(LocalWater, x=np.array([1.8, 0.0, 0.3]), y=np.array([0.2, 0.0, -1.8]))
     given = given._replace(forces=[(2.0, 0.0, 0.0)], instant=[(1.0, 0.0, 0.0)])
     near, _ = water(np, p, given, (), H)
@@ -183,7 +207,7 @@ def test_moments_and_forces_of_the_hull_have_their_signs():
         np, SimpleNamespace(stiffness=0.5, x=1.0, y=0.0), fields(BodyMotion, heading=np.pi / 2), (), H
     )
     assert np.allclose((pull.fx, pull.fy), (0.0, -0.5))  # facing north, the anchor in the east lies to the right
-    wave = [effects.get("free_surface").body(np, SimpleNamespace(gain=8.0), given._replace(u=u), (), H)[0].fx for u in (0.2, 0.4)]
+    wave = [effects.get("free_surface").body(np, values(gain=8.0), given._replace(u=u), (), H)[0].fx for u in (0.2, 0.4)]
     assert np.isclose(wave[1] / wave[0], 16.0)
     assert np.isclose(wave[1], -8.0 * 0.4**4 / (9.81 * 0.535))
 
@@ -194,7 +218,7 @@ def test_in_air_no_water_acts_on_body_or_joints():
         f"{way}_added_mass" for way in ("surge", "sway", "yaw")
     ):
         effect = effects.get(name)
-        p = SimpleNamespace(**{q.name: q.probe for q in effect.parameters})
+        p = values(**{q.name: q.probe for q in effect.parameters})
         assert all(value == 0.0 for value in effect.body(np, p, given, (), H)[0][-7:]), name
     g, _ = effects.get("joint_hydro_damping").gear(np, SimpleNamespace(coefficient=0.05), fields(Gear, rate=2.0), (), H)
     assert g.resist == 0.0
@@ -280,5 +304,5 @@ def test_the_motors_ask_for_a_duty_and_the_supply_gives_what_is_left():
     volts = (7.4 - resistance * boards) / (1.0 + resistance * stalled / 7.4)
     assert np.isclose(memory[0], stalled * volts / 7.4) and np.isclose(drive[0], CHAIN.torque * volts / 7.4)
     seen = fields(SensorReadings, power=volts * memory[0] + 7.4 * boards)
-    metered = effects.get("voltage_sag").measure(np, SimpleNamespace(resistance=resistance), seen).power
+    metered = effects.get("voltage_sag").measure(np, values(resistance=resistance), seen).power
     assert np.isclose(metered, volts * (memory[0] + boards))

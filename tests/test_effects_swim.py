@@ -128,7 +128,7 @@ def test_friction_takes_energy_in_every_step_at_any_speed(name):
 
 
 def probes(effect) -> SimpleNamespace:
-    return SimpleNamespace(**{p.name: p.probe for p in effect.parameters}, joint=0)
+    return SimpleNamespace(**{p.name: p.probe for p in effect.parameters}, joint=0, robot=effects.RobotScales())
 
 
 def test_brakes_of_gears_and_water_never_push():

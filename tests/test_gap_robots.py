@@ -196,6 +196,16 @@ def test_the_benchmark_sizes_effects_on_the_robot_of_the_model(fish_of):
     assert min(found) > 5.0 and abs(found[0] / found[1] - 1.0) > 0.05
 
 
+def test_the_search_asks_for_a_torque_limit_below_the_robots_own():
+    """A servo of 0.52 N m does not notice the default fish's limits of 0.8 to 1.2 N m, so no search found a weak one."""
+    fish = load_robot("fish")
+    model = SwimmingFish(replace(fish, servo=replace(fish.servo, torque=0.52)), [effects.get("torque_saturation")])
+    limit = model.active.effect("torque_saturation").parameter("limit")
+    assert model.nothing[-1] == limit.null == limit.high == 0.52 and limit.low < limit.typical[0] < limit.typical[1] < 0.4
+    usual = SwimmingFish(fish, [effects.get("torque_saturation")])
+    assert usual.active.effects == (effects.get("torque_saturation"),)
+
+
 def test_the_study_hides_and_restates_what_its_table_says():
     (trial, *_) = robots.trials_of(robots.TrialSettings("fish", "twice the noise", 3))
     assert trial.value("sigma.x") == pytest.approx(0.004) and trial.value("sigma.start") == pytest.approx(0.002)

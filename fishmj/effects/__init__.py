@@ -13,6 +13,7 @@ from pkgutil import iter_modules
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.effects import stages
 from fishmj.effects.effect import CHANNELS, STAGES, Confusion, Effect, Parameter, RobotForm, kind_of, site_of
+from fishmj.effects.robot_scales import RobotScales
 from fishmj.effects.stack import EffectStack
 
 
@@ -60,6 +61,7 @@ __all__ = [
     "EffectStack",
     "Parameter",
     "RobotForm",
+    "RobotScales",
     "catalogue",
     "get",
     "join",

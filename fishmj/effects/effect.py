@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.effects.robot_scales import DEFAULT, QUANTITIES, RobotScales, scaled
 
 STAGES = ("actuator", "timing", "inertia", "hydrodynamics", "environment", "measurement")
 CHANNELS = ("joint", "position", "heading", "power")  # in which an effect shows
@@ -40,6 +41,7 @@ class Parameter:
     shape: the parameter shapes the effect but does not cause it: while the others are at their null, any value is the identity.
     fine: only a value within a fraction of a per cent explains anything, so a search must try many.
     joint: the joint, from 1, that it belongs to; 0: it belongs to no single one.
+    of: one of robot_scales.QUANTITIES, which null, bounds and typical sizes are in proportion to; stated for the default fish.
     """
 
     name: str
@@ -52,10 +54,14 @@ class Parameter:
     shape: bool = False
     fine: bool = False
     joint: int = 0
+    of: str = ""
 
     def __post_init__(self):
-        if self.name == "joint":
-            raise ConfigError("effect parameter joint: that name is the joint's number at a site (p.joint); choose another")
+        if self.name in ("joint", "robot"):
+            what = {"joint": "the joint's number", "robot": "the robot's constants"}[self.name]
+            raise ConfigError(f"effect parameter {self.name}: that name is {what} at a site (p.{self.name}); choose another")
+        if self.of not in ("", *QUANTITIES):
+            raise ConfigError(f"effect parameter {self.name}: of = {self.of!r}; choose one of {', '.join(QUANTITIES)}")
         if not (self.low <= self.null <= self.high and self.typical[0] < self.typical[1]):
             raise ConfigError(
                 f"effect parameter {self.name}: needs low <= null <= high and typical[0] < typical[1], got low = {self.low},"
@@ -71,6 +77,13 @@ class Parameter:
     def probe(self) -> float:
         """A value of typical size."""
         return self.typical[1]
+
+    def on_robot(self, robot: RobotScales) -> "Parameter":
+        """The parameter with null, bounds and typical sizes of this robot."""
+        if not self.of or robot == DEFAULT:
+            return self
+        null, low, high, small, large = (scaled(x, self.of, robot) for x in (self.null, self.low, self.high, *self.typical))
+        return replace(self, null=null, low=low, high=high, typical=(small, large))
 
 
 class RobotForm(NamedTuple):
@@ -120,7 +133,7 @@ class Effect:
     """One entry of the catalogue.
 
     about, formula: one line each. source: of formula and magnitudes. shows: channels. native: MuJoCo's own means to model it, ""
-    if only a hook can. Sites (None = not used), called with p, a namespace of this effect's parameters:
+    if only a hook can. Sites (None = not used), called with p, a namespace of this effect's parameters and `robot` (RobotScales):
 
         servo(xp, p, ServoDrive, memory, h) -> (ServoDrive, memory)     one joint, before the drive
         gear(xp, p, Gear, memory, h) -> (Gear, memory)                  one joint, after the drive
@@ -222,6 +235,11 @@ class Effect:
             return self
         kept = tuple(p for p in self.parameters if p.name not in gone)
         return replace(self, parameters=kept, handed=tuple(name for name in self.handed if name not in gone))
+
+    def on_robot(self, robot: RobotScales) -> "Effect":
+        """The effect with null, bounds and typical sizes of this robot; itself if none depends on it."""
+        own = tuple(p.on_robot(robot) for p in self.parameters)
+        return self if own == self.parameters else replace(self, parameters=own)
 
     def parameter(self, name: str) -> Parameter:
         """One parameter by name. Raises UnknownName."""

@@ -18,7 +18,7 @@ import numpy as np
 from fishmj.base.calib import parse_toml, read_toml, resolve
 from fishmj.base.errors import ConfigError, UnknownName
 from fishmj.base.store import write_text
-from fishmj.effects import EffectStack, get
+from fishmj.effects import EffectStack, RobotScales, get
 
 KEYS = ("name", "parameters", "provenance", "hash")
 
@@ -54,7 +54,8 @@ def parse(table: dict, where: str) -> tuple[FittedEffect, ...]:
     blocks = table.get("effect", [])
     if not isinstance(blocks, list) or not all(isinstance(block, dict) for block in blocks):
         raise ConfigError(f"{where}: effects are blocks [[effect]], got {str(blocks)[:80]}")
-    listed = tuple(block_of(block, f"{where} [[effect]] {i}") for i, block in enumerate(blocks, 1))
+    robot = RobotScales.of_table(table)
+    listed = tuple(block_of(block, f"{where} [[effect]] {i}", robot=robot) for i, block in enumerate(blocks, 1))
     names = [fitted.name for fitted in listed]
     for name in names:
         if names.count(name) > 1:
@@ -74,9 +75,9 @@ def write(path: "str | Path", effects: "tuple[FittedEffect, ...] | list[FittedEf
     return write_text(path, text)
 
 
-def activate(effects, joints: int) -> tuple[EffectStack, np.ndarray]:
-    """(EffectStack, its parameter row (P,)) of a calibration, for a fish with `joints` joints."""
-    active = EffectStack([get(fitted.name) for fitted in effects], joints)
+def activate(effects, joints: int, robot: RobotScales | None = None) -> tuple[EffectStack, np.ndarray]:
+    """(EffectStack, its parameter row (P,)) of a calibration, for a fish with `joints` joints and these constants."""
+    active = EffectStack([get(fitted.name) for fitted in effects], joints, robot or RobotScales())
     values = {fitted.name: {name: interval.value for name, interval in fitted.parameters.items()} for fitted in effects}
     return active, np.array(active.flat(values))
 
@@ -89,8 +90,8 @@ def fitted(active: EffectStack, row, low=None, high=None, provenance: str = "", 
     return tuple(FittedEffect(e.name, named(e), provenance, hash) for e in active.effects)
 
 
-def block_of(block: dict, where: str, joints: int | None = None) -> FittedEffect:
-    """One block [[effect]], if `joints` is given of a fish with that many; raises as `read`."""
+def block_of(block: dict, where: str, joints: int | None = None, robot: RobotScales | None = None) -> FittedEffect:
+    """One block [[effect]], if given of a fish with that many joints, and with these constants; raises as `read`."""
     for key in block:
         if key not in KEYS:
             raise ConfigError(f"{where}: {UnknownName('key', key, KEYS)}")
@@ -99,7 +100,7 @@ def block_of(block: dict, where: str, joints: int | None = None) -> FittedEffect
     except UnknownName as error:
         raise ConfigError(f"{where}: {error}") from error
     where = f"{where} {effect.name}"
-    effect = effect if joints is None else effect.on_joints(joints)
+    effect = (effect if joints is None else effect.on_joints(joints)).on_robot(robot or RobotScales())
     given = block.get("parameters", {})
     if not isinstance(given, dict):
         raise ConfigError(f"{where}: parameters must be a table of name = {{ value, low, high }}, got {str(given)[:80]}")

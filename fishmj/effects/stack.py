@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from fishmj.base.errors import UnknownName
 from fishmj.effects.effect import Effect
+from fishmj.effects.robot_scales import DEFAULT, RobotScales
 from fishmj.effects.sites import BodyMotion, Constants, FlowAt, Gear, LocalWater, ServoDrive
 
 BASE = 2  # memory that is always there: current from the supply [A], time [s]
@@ -34,14 +35,16 @@ class Slot(NamedTuple):
 class EffectStack:
     """An ordered set of effects for a fish with `joints` joints, without parameters of joints that it does not have.
 
+    robot: constants of the fish, which size its effects; default, those of the default fish.
+
     Attributes:
         names: (effect, parameter) of every entry of the flat parameter list. null: their null values.
         memory: initial values of the flat memory list.
     """
 
-    def __init__(self, effects, joints: int):
-        self.effects: tuple[Effect, ...] = tuple(effect.on_joints(joints) for effect in effects)
-        self.joints = joints
+    def __init__(self, effects, joints: int, robot: RobotScales = DEFAULT):
+        self.effects: tuple[Effect, ...] = tuple(effect.on_joints(joints).on_robot(robot) for effect in effects)
+        self.joints, self.robot = joints, robot
         self.names, self.null, memory, slots = [], [], [0.0] * BASE, []
         for effect in self.effects:
             per_joint = bool(set(effect.remembering) & {"servo", "gear", "command"})
@@ -85,18 +88,23 @@ class EffectStack:
         """
         total = 0.0
         for slot in self.slots:
-            p = vars(_values(slot, parameters))
+            p = vars(self.values(slot, parameters))
             if clock in slot.effect.delays:
                 total = total + p[slot.effect.delays[clock]]
             if clock in slot.effect.drifts:
                 total = total + (p[slot.effect.drifts[clock]] - 1.0) * t
         return total
 
+    def values(self, slot: Slot, parameters) -> SimpleNamespace:
+        """The parameters of one effect by name, and `robot`."""
+        named = {p.name: parameters[slot.first + i] for i, p in enumerate(slot.effect.parameters)}
+        return SimpleNamespace(**named, robot=self.robot)
+
     def measure(self, xp, parameters, seen):
         """Applies the measurement effects to the record `seen`; parameters may be arrays that broadcast over its time axis."""
         for slot in self.order:
             if slot.effect.measure is not None:
-                seen = slot.effect.measure(xp, _values(slot, parameters), seen)
+                seen = slot.effect.measure(xp, self.values(slot, parameters), seen)
         return seen
 
 
@@ -105,7 +113,7 @@ class EffectStep:
 
     def __init__(self, active: EffectStack, xp, parameters: list, memory: list):
         self.xp, self.memory = xp, memory
-        self._placed = [(slot, _values(slot, parameters)) for slot in active.order]
+        self._placed = [(slot, active.values(slot, parameters)) for slot in active.order]
 
     @property
     def current(self):
@@ -172,11 +180,6 @@ class EffectStep:
             value, after = function(self.xp, here, value, tuple(self.memory[first : first + size]), h)
             self.memory[first : first + size] = after
         return value
-
-
-def _values(slot: Slot, parameters) -> SimpleNamespace:
-    """The parameters of one effect by name."""
-    return SimpleNamespace(**{p.name: parameters[slot.first + i] for i, p in enumerate(slot.effect.parameters)})
 
 
 def delivered(xp, active: EffectStack, parameters, commands, h: float):

@@ -52,7 +52,9 @@ class Extensions:
     @classmethod
     def of(cls, robot: Robot) -> "Extensions":
         """Additions that `robot.effects` and `robot.water["model"]` name. Raises ConfigError, UnknownName, StoreError."""
-        active, row = (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints)
+        active, row = (
+            (None, np.zeros(0)) if not robot.effects else activate(robot.effects, robot.n_joints, effects.RobotScales.of(robot))
+        )
         if active is not None and (idle := [e.name for e in active.effects if e.stochastic]):
             warnings.warn(
                 f"{robot.name}: no simulator includes the stochastic {', '.join(idle)}; only data generators do", stacklevel=2

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from fishmj.base.errors import ConfigError
+from fishmj.effects import RobotScales
 from fishmj.effects.effect_calibration import activate
 from fishmj.engines import FishParams, FishState, Steps, Trace, check_commands, drained, ticks_per
 from fishmj.engines.tank_effects import check_effects
@@ -55,7 +56,7 @@ class LbmEngine:
     ):  # fmt: skip
         check_effects(robot)
         self.robot, self.flows = robot, list(flows)
-        self.active = activate(robot.effects, robot.n_joints)[0] if robot.effects else None
+        self.active = activate(robot.effects, robot.n_joints, RobotScales.of(robot))[0] if robot.effects else None
         box = preset(domain).changed(nu=nu).with_cells(dx)
         self.domain, self.slip = replace(box, dt=box.dt / finer), slip
         self.devices = devices_of(device) if several(device) else (device,)

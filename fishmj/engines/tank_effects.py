@@ -73,8 +73,9 @@ def check_effects(robot: Robot) -> None:
 
 def _sizes(effect: Effect) -> list[SimpleNamespace]:
     """Parameter values at which an effect is tested: both typical sizes and both bounds."""
+    robot = effects.RobotScales()
     picks = (lambda p: p.typical[0], lambda p: p.typical[1], lambda p: p.low, lambda p: p.high)
-    return [SimpleNamespace(**{p.name: float(pick(p)) for p in effect.parameters}, joint=0) for pick in picks]
+    return [SimpleNamespace(**{p.name: float(pick(p)) for p in effect.parameters}, joint=0, robot=robot) for pick in picks]
 
 
 def _fish(act: Callable, memory: tuple, p) -> str:

@@ -51,7 +51,8 @@ def relations(table: Mapping[str, Any], bad: set, listed: bool) -> Iterator[KeyF
     if ("water", None) not in bad:
         yield from _water(table.get("water", {}), len(links) if whole else None)
     if ("effect", None) not in bad:
-        yield from _effects(table.get("effect", []), len(links) - 1 if whole and listed else None)
+        sized = {k: table.get(k, {} if k == "servo" else []) for k in ("link", "servo") if (k, None) not in bad}
+        yield from _effects(table.get("effect", []), len(links) - 1 if whole and listed else None, sized)
     version = table.get("version", {})
     kept = version.get("parent_text", "") if ("version", None) not in bad else ""
     if kept and not names.is_name(kept):
@@ -347,11 +348,11 @@ _WATER = "'structured', 'fitted', or a fitted water by name or .toml file"
 _PATH = "a path counts from the folder in which the command runs"
 
 
-def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None) -> Iterator[KeyFault]:
+def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None, sized: Mapping[str, Any]) -> Iterator[KeyFault]:
     """Errors from the catalogue's own checks; the catalogue is loaded only for a fish that has effects."""
     if not blocks:
         return
-    from fishmj.effects import catalogue, effect_calibration
+    from fishmj.effects import RobotScales, catalogue, effect_calibration
 
     names = [block["name"] for block in blocks]
     for i, block in enumerate(blocks):
@@ -361,7 +362,7 @@ def _effects(blocks: Sequence[Mapping[str, Any]], n_joints: int | None) -> Itera
             yield KeyFault("effect", i, "name", shown(block["name"]), expected, "docs/simulate/effects.md lists them all")
             continue
         try:
-            effect_calibration.block_of(dict(block), "", n_joints)
+            effect_calibration.block_of(dict(block), "", n_joints, RobotScales.of_table(sized))
         except FishmjError as error:
             yield KeyFault("effect", i, "", " ".join(str(error).split()).strip(": "), "")
         if block["name"] in names[:i]:

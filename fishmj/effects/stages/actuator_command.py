@@ -108,7 +108,7 @@ RATE_LIMIT = Effect(
     about="large moves become ramps of one slope, whatever the load",
     formula="|dc'/dt| <= 1/s",
     source="servo firmware: 2 to 8 rad/s",
-    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.15, 0.5)),),
+    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.15, 0.5), of="slowness"),),
     shows=("joint", "position", "power"),
     confusions=(
         Confusion("speed_limit", "does not depend on load, air against water", ("square", "steps")),

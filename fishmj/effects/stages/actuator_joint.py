@@ -51,7 +51,7 @@ COULOMB_FRICTION = Effect(
     about="dry friction in the gears: a torque against the motion whose size does not depend on speed",
     formula="tau = -F_c sign(w)",
     source="Rhoban BAM M1; a bus servo of this size has 0.03 to 0.2 N m",
-    parameters=(Parameter(name="torque", unit="N m", low=0.0, high=0.8, typical=(0.03, 0.2)),),
+    parameters=(Parameter(name="torque", unit="N m", low=0.0, high=0.8, typical=(0.03, 0.2), of="torque"),),
     shows=("joint", "power"),
     native="joint frictionloss",
     confusions=(
@@ -267,7 +267,7 @@ SKIN_HYSTERESIS = Effect(
     formula="tau = -k (angle - z), z' = (angle - z)/T",
     source="silicone: loss factor 0.1 to 0.3",
     parameters=(
-        Parameter(name="stiffness", unit="N m/rad", low=0.0, high=6.0, typical=(0.2, 1.0)),
+        Parameter(name="stiffness", unit="N m/rad", low=0.0, high=6.0, typical=(0.2, 1.0), of="torque"),
         Parameter(name="time", unit="s", null=0.5, low=0.02, high=10.0, typical=(0.1, 1.0), shape=True),
     ),
     shows=("joint", "position", "power"),
@@ -292,7 +292,7 @@ SKIN_STIFFNESS = Effect(
     about="a silicone skin pulls joints straight: droop and holding power in proportion to the angle",
     formula="tau = -k angle",
     source="silicone tube of this size: 0.2 to 1.5 N m/rad",
-    parameters=(Parameter(name="stiffness", unit="N m/rad", low=0.0, high=6.0, typical=(0.2, 1.0)),),
+    parameters=(Parameter(name="stiffness", unit="N m/rad", low=0.0, high=6.0, typical=(0.2, 1.0), of="torque"),),
     stores=True,
     shows=("joint", "position", "power"),
     native="joint stiffness",
@@ -322,7 +322,7 @@ STRIBECK = Effect(
     formula="tau = -F_s exp(-(w/w_s)^2) sign(w)",
     source="Stribeck curve as in LuGre and Rhoban BAM M2; half to one and a half times Coulomb friction",
     parameters=(
-        Parameter(name="torque", unit="N m", low=0.0, high=0.8, typical=(0.03, 0.2)),
+        Parameter(name="torque", unit="N m", low=0.0, high=0.8, typical=(0.03, 0.2), of="torque"),
         Parameter(name="speed", unit="rad/s", null=0.1, low=0.01, high=1.0, typical=(0.05, 0.2), shape=True),
     ),
     shows=("joint", "power"),
@@ -364,7 +364,7 @@ VISCOUS_FRICTION = Effect(
     about="grease and back-EMF beyond the model's: a torque against the motion in proportion to speed",
     formula="tau = -D w",
     source="Rhoban BAM M1; 0.01 to 0.3 N m s/rad",
-    parameters=(Parameter(name="damping", unit="N m s/rad", low=0.0, high=1.0, typical=(0.02, 0.15)),),
+    parameters=(Parameter(name="damping", unit="N m s/rad", low=0.0, high=1.0, typical=(0.02, 0.15), of="damping"),),
     shows=("joint", "power"),
     native="joint damping",
     confusions=(

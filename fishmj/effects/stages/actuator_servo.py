@@ -2,8 +2,8 @@
 
 from math import copysign, cos, pi, sin
 
-from fishmj.base.calib import constant
 from fishmj.effects.effect import Confusion, Effect, Parameter, RobotForm
+from fishmj.effects.robot_scales import DEFAULT, RobotScales
 
 OFFSETS = ("offset1", "offset2", "offset3")
 
@@ -182,7 +182,7 @@ SPEED_LIMIT = Effect(
     about="a steeper torque-speed line: fast joints lose torque, a large fast sine becomes a triangle",
     formula="torque <= limit (1 - s |w|) along the motion; 1/s is the speed at which nothing is left",
     source="paper: 0.2 s per 60 deg without load; low voltage and stiff grease halve it",
-    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.21, 0.5)),),
+    parameters=(Parameter(name="slowness", unit="s/rad", low=0.0, high=2.0, typical=(0.21, 0.5), of="slowness"),),
     shows=("joint", "position", "power"),
     native="actuator dcmotor",
     confusions=(
@@ -301,12 +301,12 @@ TORQUE_RIPPLE = Effect(
 )
 
 
-STALL = constant("servo", "torque")  # N m, of the paper's servo: the null, at which any servo keeps its own limit
+STALL = DEFAULT.torque  # N m, the null
 
 
 def torque_saturation_servo(xp, p, s, memory, h):
-    """limit' = min(limit, tau_max) where tau_max is below the paper's stall torque."""
-    return s._replace(limit=xp.where(p.limit < STALL, xp.minimum(s.limit, p.limit), s.limit)), memory
+    """limit' = min(limit, tau_max) where tau_max is below the servo's stall torque, the null."""
+    return s._replace(limit=xp.where(p.limit < p.robot.torque, xp.minimum(s.limit, p.limit), s.limit)), memory
 
 
 def torque_saturation_fields(site, p):
@@ -324,7 +324,7 @@ TORQUE_SATURATION = Effect(
     about="torque is cut off earlier: brown-out, firmware limit, worn battery",
     formula="|drive| <= tau_max",
     source="paper: 17 kg cm at 7.4 V; 0.8 to 1.2 N m in a brown-out",
-    parameters=(Parameter(name="limit", unit="N m", null=STALL, low=0.02, high=STALL, typical=(0.8, 1.2)),),
+    parameters=(Parameter(name="limit", unit="N m", null=STALL, low=0.02, high=STALL, typical=(0.8, 1.2), of="torque"),),
     shows=("joint", "position", "power"),
     native="actuator forcerange",
     confusions=(
@@ -344,9 +344,12 @@ TORQUE_SATURATION = Effect(
 )
 
 
-OPEN = constant("robot", "battery_voltage")  # V, at which the stall torque is quoted
-BOARDS = constant("servo", "idle_power") / constant("servo", "voltage")  # A, drawn at rest
-LEAST = 0.3  # of it is left: boards switch off below
+LEAST = 0.3  # of the voltage is left: boards switch off below
+
+
+def boards(robot: RobotScales) -> float:
+    """Current that the boards draw at rest, A."""
+    return robot.idle_power / robot.voltage
 
 
 def voltage_sag_servo(xp, p, s, memory, h):
@@ -355,16 +358,17 @@ def voltage_sag_servo(xp, p, s, memory, h):
     The no-load speed limit / k_b falls with it. I = sum d i is the current of motors (one step ago) and boards: the
     motor's current i falls with V, the duty d does not.
     """
-    share = xp.maximum(1.0 - p.resistance * (s.current + BOARDS) / OPEN, LEAST)
+    share = xp.maximum(1.0 - p.resistance * (s.current + boards(p.robot)) / p.robot.voltage, LEAST)
     return s._replace(limit=share * s.limit, kp=share * s.kp, kv=share * s.kv, supply=share * s.supply), memory
 
 
 def voltage_sag_measure(xp, p, seen):
     """P' = P - I_b (V_oc - V): the boards draw I_b at any voltage. P = V (I + I_b) + I_b (V_oc - V) determines V."""
-    motors = seen.power - BOARDS * OPEN
-    unloaded = OPEN - p.resistance * BOARDS
+    idle, whole = boards(p.robot), p.robot.voltage
+    motors = seen.power - idle * whole
+    unloaded = whole - p.resistance * idle
     volts = (unloaded + xp.sqrt(xp.maximum(unloaded * unloaded - 4.0 * p.resistance * motors, 0.0))) / 2.0
-    return seen._replace(power=seen.power - BOARDS * (OPEN - xp.maximum(volts, LEAST * OPEN)))
+    return seen._replace(power=seen.power - idle * (whole - xp.maximum(volts, LEAST * whole)))
 
 
 VOLTAGE_SAG = Effect(
@@ -373,7 +377,7 @@ VOLTAGE_SAG = Effect(
     about="battery and leads have a resistance: everything is weaker and slower while several joints work",
     formula="torque' = torque (V_oc - R I) / V_oc, I the supply's current",
     source="two cells and leads: 60 to 150 mohm fresh; worn, cold or through thin wire up to an ohm",
-    parameters=(Parameter(name="resistance", unit="ohm", low=0.0, high=6.0, typical=(0.1, 1.0)),),
+    parameters=(Parameter(name="resistance", unit="ohm", low=0.0, high=6.0, typical=(0.1, 1.0), of="resistance"),),
     shows=("joint", "position", "power"),
     confusions=(
         Confusion("torque_saturation", "one joint alone against all together", ("steps", "gait")),

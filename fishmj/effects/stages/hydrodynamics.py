@@ -16,7 +16,7 @@ BODY_LIFT = Effect(
     about="a hull that moves askew sheds lift at its end: side force with speed times sway",
     formula="fy = -Y |u| w",
     source="published models of robotic fish: 5 to 30 N s2/m2",
-    parameters=(Parameter(name="coefficient", unit="N s2/m2", low=0.0, high=100.0, typical=(4.0, 20.0)),),
+    parameters=(Parameter(name="coefficient", unit="N s2/m2", low=0.0, high=100.0, typical=(4.0, 20.0), of="drag"),),
     shows=("position", "heading"),
     native="body fluidcoef (Kutta lift)",
     confusions=(
@@ -51,12 +51,9 @@ CROSSFLOW_DRAG = Effect(
 )
 
 
-GRAVITY_LENGTH = G * constant("robot", "length")  # m2/s2: Froude number 1
-
-
 def free_surface_body(xp, p, b, memory, h):
     """fx = -c Fr^2 |u| u, Fr^2 = u^2 / (g L)."""
-    return b._replace(fx=b.fx - b.wet * p.gain * (b.u * b.u / GRAVITY_LENGTH) * xp.abs(b.u) * b.u), memory
+    return b._replace(fx=b.fx - b.wet * p.gain * (b.u * b.u / (G * p.robot.length)) * xp.abs(b.u) * b.u), memory
 
 
 FREE_SURFACE = Effect(
@@ -65,7 +62,7 @@ FREE_SURFACE = Effect(
     about="a fish close under the surface makes waves: drag that grows with the fourth power of speed",
     formula="fx = -c Fr^2 |u| u, Fr^2 = u^2/(g L)",
     source="hulls close under the surface; Froude numbers here are 0.04 to 0.2",
-    parameters=(Parameter(name="gain", unit="N s2/m2", low=0.0, high=1000.0, typical=(20.0, 150.0)),),
+    parameters=(Parameter(name="gain", unit="N s2/m2", low=0.0, high=1000.0, typical=(20.0, 150.0), of="drag"),),
     shows=("position",),
     confusions=(
         Confusion("quadratic_drag", "only at speed; two depths", ("burst_and_coast", "gait")),
@@ -86,7 +83,7 @@ JOINT_HYDRO_DAMPING = Effect(
     about="folds and gaps at the joints pump water: damping with the square of the rate, in water only",
     formula="tau = -c |w| w (in water)",
     source="paper, calibration of the servos in air and water; 0.005 to 0.05 N m s2",
-    parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=0.5, typical=(0.005, 0.05)),),
+    parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=0.5, typical=(0.005, 0.05), of="turning_drag"),),
     shows=("joint", "power"),
     confusions=(
         Confusion("viscous_friction", "not in air", ("chirp", "square")),
@@ -107,7 +104,7 @@ LINEAR_SURGE_DRAG = Effect(
     about="laminar drag along the body: what is left of a coast when it is slow",
     formula="fx = -c u",
     source="boundary layer of a body of 0.5 m: 0.1 to 0.8 N s/m",
-    parameters=(Parameter(name="coefficient", unit="N s/m", low=0.0, high=5.0, typical=(0.1, 0.8)),),
+    parameters=(Parameter(name="coefficient", unit="N s/m", low=0.0, high=5.0, typical=(0.1, 0.8), of="drag"),),
     shows=("position",),
     native="option viscosity",
     confusions=(
@@ -152,7 +149,7 @@ QUADRATIC_DRAG = Effect(
     about="form drag along the body beyond the model's: mounts, cables, gaps in the skin",
     formula="fx = -c |u| u",
     source="this hull has 1.5 N s2/m2, half as much again with mounts and gaps; paper tunes it as a slip ratio",
-    parameters=(Parameter(name="coefficient", unit="N s2/m2", low=-1.0, high=10.0, typical=(0.3, 1.0)),),
+    parameters=(Parameter(name="coefficient", unit="N s2/m2", low=-1.0, high=10.0, typical=(0.3, 1.0), of="drag"),),
     shows=("position",),
     native="option density with fluidcoef",
     confusions=(
@@ -218,13 +215,12 @@ WAKE_MEMORY = Effect(
 
 
 HALF = constant("tank", "size")[0] / 2  # m, the tank's walls are at x, y = +-HALF
-LENGTH = constant("robot", "length")  # m, over which a wall is felt
 
 
 def wall_share(xp, p, x, y):
     """a e^(-d / L), d the distance from the reference point to the nearest wall [m]."""
     gap = xp.maximum(HALF - xp.maximum(xp.abs(x), xp.abs(y)), 0.0)
-    return p.gain * xp.exp(-gap / LENGTH)
+    return p.gain * xp.exp(-gap / p.robot.length)
 
 
 def wall_effect_water(xp, p, w, memory, h):
@@ -269,7 +265,7 @@ YAW_DRAG = Effect(
     about="the head's turning is braked with the square of its rate: side fins, masts",
     formula="n = -c |r| r",
     source="plates on a hull of 0.54 m: 0.01 to 0.3 N m s2",
-    parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=1.0, typical=(0.005, 0.05)),),
+    parameters=(Parameter(name="coefficient", unit="N m s2", low=0.0, high=1.0, typical=(0.005, 0.05), of="turning_drag"),),
     shows=("heading", "position"),
     confusions=(
         Confusion("crossflow_drag", "does not show in a side drift", ("tow_sideways", "twirl")),

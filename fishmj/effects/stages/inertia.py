@@ -33,7 +33,7 @@ BODY_MASS = Effect(
     formula="m_i' = m_i (1 + k dm/m), head + (1 - k) dm",
     source="a flooded skin holds 0.05 to 0.3 kg",
     parameters=(
-        Parameter(name="mass", unit="kg", low=-0.5, high=1.5, typical=(0.05, 0.3)),
+        Parameter(name="mass", unit="kg", low=-0.5, high=1.5, typical=(0.05, 0.3), of="mass"),
         Parameter(
             name="spread", unit="1", null=1.0, low=-0.5, high=1.5, typical=(0.0, 1.0), shape=True, about="k: 1 spread, 0 payload"
         ),
@@ -74,7 +74,7 @@ COM_OFFSET = Effect(
     about="battery moved: the head link's centre of mass lies ahead (x > 0) or behind; yaw and sway couple",
     formula="s_head' = s_head + x (whole fish: x m_head/m)",
     source="battery of a quarter of the weight moved by 2 to 6 cm: 5 to 15 mm",
-    parameters=(Parameter(name="x", unit="m", low=-0.1, high=0.1, typical=(0.008, 0.03)),),
+    parameters=(Parameter(name="x", unit="m", low=-0.1, high=0.1, typical=(0.008, 0.03), of="length"),),
     shows=("position", "heading"),
     native="body ipos",
     confusions=(
@@ -164,7 +164,7 @@ SURGE_ADDED_MASS = Effect(
     about="water that is accelerated with the fish when it speeds up or slows down",
     formula="fx = -dm (du/dt), and Kirchhoff's terms fy = -dm u r, n = dm u w",
     source="slender body: 0.06 to 0.16 kg; flooded nose and fins add to it",
-    parameters=(Parameter(name="mass", unit="kg", low=-0.3, high=2.0, typical=(0.06, 0.3)),),
+    parameters=(Parameter(name="mass", unit="kg", low=-0.3, high=2.0, typical=(0.06, 0.3), of="mass"),),
     shows=("position",),
     native="body fluidcoef (ellipsoid model)",
     confusions=(
@@ -189,7 +189,7 @@ SWAY_ADDED_MASS = Effect(
     about="water that is accelerated with the fish when it moves sideways; shallow water raises it",
     formula="fy = -dm (dw/dt), and Kirchhoff's terms fx = dm w r, n = -dm u w",
     source="strips of this hull: 2.2 kg; tens of per cent more in shallow water",
-    parameters=(Parameter(name="mass", unit="kg", low=-0.8, high=5.0, typical=(0.2, 0.8)),),
+    parameters=(Parameter(name="mass", unit="kg", low=-0.8, high=5.0, typical=(0.2, 0.8), of="mass"),),
     shows=("position", "heading"),
     native="body fluidcoef (ellipsoid model)",
     confusions=(
@@ -212,7 +212,7 @@ YAW_ADDED_MASS = Effect(
     about="water that is turned with the head: recoil and turns get slower, in water only",
     formula="n = -dI (dr/dt)",
     source="strips of this hull: about 0.05 kg m2; 10 to 30 % of it",
-    parameters=(Parameter(name="inertia", unit="kg m2", low=-0.005, high=0.2, typical=(0.004, 0.02)),),
+    parameters=(Parameter(name="inertia", unit="kg m2", low=-0.005, high=0.2, typical=(0.004, 0.02), of="inertia"),),
     shows=("heading",),
     native="body fluidcoef (ellipsoid model)",
     confusions=(
@@ -234,7 +234,7 @@ YAW_INERTIA = Effect(
     about="mass sits further out in the head: recoil and turns get slower, in air as in water",
     formula="I_head' = I_head + dI",
     source="20 to 30 % of a fish of 1.1 kg and 0.54 m, whose total is 0.02 kg m2",
-    parameters=(Parameter(name="inertia", unit="kg m2", low=-0.002, high=0.05, typical=(0.002, 0.008)),),
+    parameters=(Parameter(name="inertia", unit="kg m2", low=-0.002, high=0.05, typical=(0.002, 0.008), of="inertia"),),
     shows=("heading", "joint"),
     native="body diaginertia",
     confusions=(

@@ -125,7 +125,7 @@ MARKER_OFFSET = Effect(
     about="the spot that the camera follows lies ahead of the reference point (x > 0) or behind: sway seems to go with yaw",
     formula="(x, y)' = (x, y) + d (cos yaw, sin yaw)",
     source="colour blobs on the head: 10 to 40 mm",
-    parameters=(Parameter(name="x", unit="m", low=-0.15, high=0.15, typical=(0.01, 0.04)),),
+    parameters=(Parameter(name="x", unit="m", low=-0.15, high=0.15, typical=(0.01, 0.04), of="length"),),
     shows=("position",),
     confusions=(
         Confusion("camera_latency", "goes with heading, not with rate", ("spin", "turn_left")),

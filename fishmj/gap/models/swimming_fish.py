@@ -88,7 +88,8 @@ class SwimmingFish(ParameterRow):
         self.dt = self.robot.timing.physics_dt
         self.joints = self.inputs = self.robot.n_joints
         chosen = effects.catalogue().values() if catalogue is None else catalogue
-        self.active = effects.EffectStack([e for e in chosen if not e.stochastic], self.joints)
+        lasting = [e for e in chosen if not e.stochastic]
+        self.active = effects.EffectStack(lasting, self.joints, effects.RobotScales.of(self.robot))
         self.constants = CONSTANTS
         self.chain = planar_chain.chain_of(self.robot)
         self.nominal = planar_chain.nominal(self.robot)

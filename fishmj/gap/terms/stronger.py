@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects.effect import Effect
+from fishmj.effects.robot_scales import RobotScales
 from fishmj.effects.sites import BodyMotion, Gear, SensorReadings, ServoDrive
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.search import likelihood
@@ -196,4 +197,4 @@ def drawn(*factors: Factor) -> np.ndarray:
 
 def usual(effect: Effect) -> SimpleNamespace:
     """The parameters at their usual size."""
-    return SimpleNamespace(**{p.name: p.null if p.shape else p.probe for p in effect.parameters}, joint=0)
+    return SimpleNamespace(**{p.name: p.null if p.shape else p.probe for p in effect.parameters}, joint=0, robot=RobotScales())
