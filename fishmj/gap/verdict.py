@@ -85,6 +85,11 @@ class Verdict:
         return bool(self.steps)
 
     @property
+    def implausible(self) -> bool:
+        """Returns True for a CLASS without alternatives: one effect fits best, but its value is doubtful."""
+        return self.answer == "CLASS" and self.reason == IMPLAUSIBLE
+
+    @property
     def taken(self) -> bool:
         """Returns True if `gap_after` includes the listed effects: they gained more than chance on held-out records."""
         return bool(self.effects) and "closure" in self.gates
@@ -188,6 +193,7 @@ class Verdict:
 MOST = 10  # possibly missed effects printed in a terminal; the page and the JSON list all
 UP_TO = "not excluded: sizes up to which these logs would not have shown each effect, if present alone"
 LIKELIHOOD = "the excess log likelihood"
+IMPLAUSIBLE = "implausible value: one explanation fits best, but may imitate something else"
 P_BEST = "P(best): share of bootstrap draws over the records that each effect wins; a rival at 0 is still too close to rule out"
 FLOOR = "mean square in units of the floor, 1 = agreement"
 LIKELIER = "raises the likelihood of held-out records, allowing for the error of its formula, but their residual does not shrink"

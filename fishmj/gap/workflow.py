@@ -13,6 +13,7 @@ import numpy as np
 from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
+from fishmj.gap.decide.implausible import advice
 from fishmj.gap.decide.intervals import missed_sizes
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.null.null_runs import SimulatedNull
@@ -176,9 +177,12 @@ def require_repeatability(verdict: Verdict, inquiry: Inquiry) -> Verdict:
 
 
 def propose_experiment(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Adds to CLASS the experiment that separates the effects that these records cannot."""
+    """Adds to CLASS the experiment that separates its effects; of an implausible value, the numbers to check."""
     if not inquiry.further or verdict.answer != "CLASS":
         return verdict
+    if verdict.implausible:
+        stack = inquiry.evidence.model.active
+        return replace(verdict, next_experiment=advice(stack.effect(e.name) for e in verdict.effects))
     from fishmj.gap.experiment import advise
 
     inquiry.say("searching for the experiment that separates these effects")

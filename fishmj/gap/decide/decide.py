@@ -57,7 +57,7 @@ from fishmj.gap.search.model_error import error_without_outliers, misformed
 from fishmj.gap.search.shared_effects import apart, shares
 from fishmj.gap.search.stepwise import Selection
 from fishmj.gap.thresholds import Gates, residual_allowed, thresholds
-from fishmj.gap.verdict import LIKELIHOOD, NamedEffect, Value, Verdict
+from fishmj.gap.verdict import IMPLAUSIBLE, LIKELIHOOD, NamedEffect, Value, Verdict
 from fishmj.gap.wording import number, percent, quantity, title
 
 
@@ -174,7 +174,7 @@ def _answer(
     if rivals or any(stand[n.name].p_best < gates.p_best for n in kept):
         return "CLASS", "these records cannot tell apart what is listed"
     if warnings:
-        return "CLASS", "one explanation fits best, but its value is implausible: it may imitate something else"
+        return "CLASS", IMPLAUSIBLE
     if shrinks:
         return "NAMED", "explains records that it has not seen, and nothing else does"
     return "NAMED", "makes records that it has not seen likelier, not their residual smaller, and nothing else does"

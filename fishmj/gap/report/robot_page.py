@@ -40,6 +40,9 @@ def next_step(inquiry: Inquiry) -> str:
             for c in known[a].confusions if a in known else ():
                 if c.other == b:
                     return f"{title(a)} or {title(b)}: {c.separates}."
+    if v.implausible:
+        names = " and ".join(title(e.name) for e in v.effects)
+        return f"Check the numbers of the description that {names} would change: another record would show the same."
     if v.answer == "CLASS":
         return "Record a motion in which the listed effects differ: `fishmj gap next REPORT --out experiment.csv` writes one."
     if v.answer == "UNEXPLAINED":

@@ -246,7 +246,7 @@ def escape_text(text: str) -> Markup:
 CONTRACT = {
     "AGREES": "The model agrees with the records within its uncertainty.",
     "NAMED": "One effect explains the gap, on records that it was not fitted to.",
-    "CLASS": "The cause is one of a few effects; the proposed experiment decides.",
+    "CLASS": "The cause is one of a few effects, which the proposed experiment tells apart, or has an implausible value.",
     "UNEXPLAINED": "Something is missing that no effect of the catalogue certainly explains.",
     "NOT_REPEATABLE": "The records differ from each other as much as from the model.",
 }
@@ -267,6 +267,8 @@ def headline(v: Verdict) -> str:
     names = [title(e.name) for e in v.effects]
     if v.answer == "NAMED":
         return f"Missing: {' and '.join(names)}"
+    if v.implausible:
+        return f"Implausible value: perhaps {' and '.join(names)}, or something that it imitates"
     if v.answer == "CLASS":
         others = list(dict.fromkeys(title(str(r["name"])) for r in v.rivals))
         found = " and ".join(names)
