@@ -335,12 +335,28 @@ def test_the_documented_tables_are_the_catalogue(columns):
     assert table in DOCS.read_text(encoding="utf-8"), f"write this there:\n{table}"
 
 
+def test_the_command_shows_the_sizes_of_a_described_robot(tmp_path, capsys):
+    text = (
+        (calib_folder() / "fish.toml").read_text().replace("torque = 1.667 ", "torque = 1.7 ").replace("kd = 0.32 ", "kd = 0.35 ")
+    )
+    (tmp_path / "mine.toml").write_text(text)
+    assert verb.main(["torque_saturation", "--robot", str(tmp_path / "mine.toml")]) == console.OK
+    assert "null 1.7, bounds 0.0203959 to 1.7" in capsys.readouterr().out
+    assert verb.main(["--robot", str(tmp_path / "mine.toml")]) == console.OK and "0.815837 to 1.22376" in capsys.readouterr().out
+    assert verb.main(["--mjcf"]) == console.OK and "at each" in capsys.readouterr().out
+    assert console.run(verb.main, ["--robot", "arm.xml"]) == console.BAD_INPUT and "--mjcf" in capsys.readouterr().err
+
+
 def test_the_command_prints_one_entry_in_full_and_knows_the_nearest_name():
     run = lambda *args: subprocess.run(
         [sys.executable, "-m", "fishmj.effects", *args], capture_output=True, text=True, check=False
     )
     entry = json.loads(run("gear_backlash", "--json").stdout)
     assert entry["parameters"][0]["unit"] == "rad" and entry["sites"] == ["gear"] and entry["confusions"]
+    sized = run("torque_saturation", "--robot", "fish")
+    assert (
+        "null 1.667, bounds 0.02 to 1.667, typical 0.8 to 1.2" in sized.stdout and sized.stdout == run("torque_saturation").stdout
+    )
     wrong = run("gear_backlsh")
     assert wrong.returncode == console.BAD_INPUT and "gear_backlash" in wrong.stderr
     assert all(e.name in verb.text(e) and e.formula in verb.text(e) for e in EVERY)

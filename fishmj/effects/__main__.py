@@ -1,9 +1,10 @@
-"""`python -m fishmj.effects [NAME] [--json]`: the catalogue of imperfections, or one entry in full."""
+"""`python -m fishmj.effects [NAME] [--robot FILE | --mjcf] [--json]`: the catalogue of imperfections, or one entry in full."""
 
 import sys
 
 from fishmj import effects
 from fishmj.base import console
+from fishmj.base.errors import ConfigError
 from fishmj.effects.effect import Confusion, Effect, Parameter
 
 
@@ -89,26 +90,46 @@ def _parameter(p: Parameter) -> str:
 def options() -> console.Parser:
     """The arguments of `effects`."""
     summary = "The catalogue of imperfections: what each is, how large, where it shows, what looks like it."
-    parser = console.parser("effects", summary, examples="example:\n  fishmj effects command_latency\n  fishmj effects --robot")
+    parser = console.parser(
+        "effects", summary, examples="example:\n  fishmj effects torque_saturation --robot my_fish.toml\n  fishmj effects --mjcf"
+    )
     parser.add_argument("name", type=console.text, nargs="?", help="one effect in full; by default the table of all")
-    robot = "those that gap find --model robot.xml knows, in place of those of a fish"
-    parser.add_argument("--robot", action="store_true", help=robot)
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
+        "--robot", type=console.text, help="sizes for this fish: shipped name or TOML file (default: the default fish)"
+    )
+    mjcf = "those that gap find --model robot.xml knows, in place of those of a fish"
+    which.add_argument("--mjcf", action="store_true", help=mjcf)
     return parser
+
+
+def on_robot(chosen: list[Effect], source: str) -> list[Effect]:
+    """The effects as a search on this fish has them. Raises ConfigError, DescriptionError, UnknownName."""
+    from fishmj.mjcf.reading import load_robot
+
+    if source.lower().endswith((".xml", ".urdf")):
+        raise ConfigError(
+            f"--robot {source}: sizes of a robot in MJCF follow from its logs; fishmj effects --mjcf lists its effects"
+        )
+    robot = load_robot(source)
+    return [e.on_joints(robot.n_joints).on_robot(effects.RobotScales.of(robot)) for e in chosen]
 
 
 def main(argv: list[str]) -> int:
     """Prints the table, or one effect. Returns the exit code."""
     args = options().parse_args(argv)
-    chosen = list((effects.robot_catalogue() if args.robot else effects.catalogue()).values())
+    chosen = list((effects.robot_catalogue() if args.mjcf else effects.catalogue()).values())
     if args.name:  # of either kind: no name is of both with two meanings
         chosen = [effects.robot_catalogue().get(args.name) or effects.get(args.name)]
+    if args.robot:
+        chosen = on_robot(chosen, args.robot)
     if args.json:
         records = [record(e) for e in chosen]
         console.emit_json(records[0] if args.name else {"effects": records, "n": len(records)})
     elif args.name:
         console.say(text(chosen[0]))
     else:
-        console.say(console.table((robot_rows if args.robot else rows)(chosen)))
+        console.say(console.table((robot_rows if args.mjcf else rows)(chosen)))
     return console.OK
 
 
