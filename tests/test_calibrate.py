@@ -174,6 +174,8 @@ def test_servo_calibration_refuses_insufficient_trials_and_writes_nothing(tmp_pa
     assert console.run(command.main, [verb, *map(str, where)]) == console.BAD_INPUT
     last = capsys.readouterr().err.strip().split("\n")[-1]
     assert last.startswith("fishmj: ") and said in last
+    assert f"calibrate {verb} needs" in last or "joint: j" in last
+    assert ("without encoders has `fishmj gap find`" in last) == ("no table joint" in said)
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 

@@ -36,12 +36,16 @@ def shipped() -> Path:
 
 
 class Logs(NamedTuple):
-    """Trials by name, and their records at the plant's step. broken: omitted trials with reasons. notes: on the folder."""
+    """Trials by name, and their records at the plant's step.
+
+    broken: omitted trials with reasons. notes: on the folder. verb: of `fishmj calibrate`, for messages.
+    """
 
     folder: Path
     trials: dict[str, Trial]
     broken: dict[str, str] = {}  # noqa: RUF012  never changed
     notes: tuple[str, ...] = ()
+    verb: str = "servo"
 
     def records(self, dt: float, names: "list[str] | None" = None, camera: float | None = None) -> list[Record]:
         """Records of the named trials, or of all. camera: as of `record_of`; None leaves the stamps, to calibrate latencies."""
@@ -65,10 +69,12 @@ class Logs(NamedTuple):
         if len(lacking) > len(SIGNALS) - LEAST:
             found = ", ".join(f"{n} {signal} in {medium}" for (signal, medium), n in kinds.items()) or "none"
             left = "".join(f"; {name} is left out: {why}" for name, why in silent.items())
+            blind = bool(self.trials) and not any("joint" in t.tables for t in self.trials.values())
+            remains = ". A robot without encoders has `fishmj gap find`, which compares commands and poses" if blind else ""
             raise LogError(
-                f"{self.folder}: a servo calibration needs at least two of {', '.join(SIGNALS)}; found: {found}{left}. "
+                f"{self.folder}: calibrate {self.verb} needs at least two of {', '.join(SIGNALS)}; found: {found}{left}. "
                 f"Record {', '.join(lacking)} in air and in water, three times each (meta: excitation, medium);"
-                f" for existing trials, name the signal: log import .. --excitation TRIAL={lacking[0]}"
+                f" for existing trials, name the signal: log import .. --excitation TRIAL={lacking[0]}{remains}"
             )
         return names
 
@@ -76,7 +82,7 @@ class Logs(NamedTuple):
 def unfit(trial: Trial) -> str:
     """Reason why a trial cannot be used for a servo fit; "" if it can."""
     if "joint" not in trial.tables:
-        return "no table joint; a servo calibration needs joint angles"
+        return "no table joint, the measured joint angles"
     span = float(np.ptp(stacked(trial.table("cmd"), "c#"), axis=0).max())
     if span >= QUIET:
         return ""

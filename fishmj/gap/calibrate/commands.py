@@ -79,9 +79,9 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     return Logs(logs.folder, trials, broken, (*logs.notes, *whose, *doubts))
 
 
-def open_bench_logs(args, robot: Robot) -> tuple[Logs, ServoStand]:
+def open_bench_logs(args, robot: Robot, verb: str) -> tuple[Logs, ServoStand]:
     """The trials and the plant for comparison; missing data are reported before anything is compiled."""
-    logs, plant = open_logs(args, robot, physical_checks.JOINTS), ServoStand(robot)
+    logs, plant = open_logs(args, robot, physical_checks.JOINTS)._replace(verb=verb), ServoStand(robot)
     if note := smoothing([logs.trials[name] for name in logs.bench()]):
         console.warn(note)
     compile_kernel(plant, console.say)
@@ -91,7 +91,7 @@ def open_bench_logs(args, robot: Robot) -> tuple[Logs, ServoStand]:
 def run_servo(args) -> Answer:
     """Servo gain, damping, friction and command latency from sine, square and impulse."""
     robot = load_robot(args.model)
-    logs, plant = open_bench_logs(args, robot)
+    logs, plant = open_bench_logs(args, robot, "servo")
     found = servo_of(args, logs, plant)
     page, picture, answer = servo_report(args, logs, found)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
@@ -143,7 +143,7 @@ def servo_report(args, logs: Logs, found: servo_fit.ServoFit, refusal: str = "")
 def run_latency(args) -> Answer:
     """Command and camera latency, from the clocks and against the fitted servo."""
     robot = load_robot(args.model)
-    logs, plant = open_bench_logs(args, robot)
+    logs, plant = open_bench_logs(args, robot, "latency")
     fitted = servo_of(args, logs, plant, alone=False)
     found = servo_fit.calibrate_latency(logs, fitted)
     estimates = {name: widened(e) for name, e in found.estimates.items()}
