@@ -25,6 +25,7 @@ from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options, model_version
 from fishmj.gap.commands.apply import settle
 from fishmj.gap.commands.check import measured
+from fishmj.gap.localise.swimming_speed import speeds_text, steady_speeds
 from fishmj.gap.models.robot_description import is_robot
 from fishmj.gap.null.null_runs import null_of
 from fishmj.gap.records import datasets
@@ -99,12 +100,19 @@ def main(argv: list[str]) -> int:
     except admission.TooDifferent as different:
         return different.report(args.json, skipped=given.broken)
     with interrupt.keeping(words):
-        console.say(inquiry.verdict.text())
+        console.say(inquiry.verdict.text(), *speeds(inquiry))
         if args.out:
             console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args, given)))}")
     if args.json:
         console.emit_json(inquiry.verdict.plain() | {"skipped": given.broken, "notes": list(notes)})
     return console.OK
+
+
+def speeds(inquiry: Inquiry) -> list[str]:
+    """Line on the swimming speeds of the searched records; empty without steady swims."""
+    e = inquiry.evidence
+    text = speeds_text(steady_speeds(e.records, e.model.predict(e.records, inquiry.found.base.row)))
+    return [f"  {text}"] if text else []
 
 
 def words() -> str:

@@ -9,6 +9,7 @@ from fishmj.base import console
 from fishmj.gap.decide.intervals import gains
 from fishmj.gap.localise import Comparison, Localisation, compared, localise
 from fishmj.gap.localise.error_growth import GrowthCurve, curves
+from fishmj.gap.localise.swimming_speed import steady_speeds
 from fishmj.gap.records import mass_properties
 from fishmj.gap.search import likelihood
 from fishmj.gap.search.fit import Candidate, limiting
@@ -65,17 +66,21 @@ class ReportData:
     rounds: tuple[RoundFinalists, ...]
     blind: tuple[UndetectableEffect, ...]
     weighed: str
+    speeds: dict[str, tuple[float, float]]  # m/s of steady swims: measured, by the present model
 
 
 def gather(inquiry: Inquiry, place: Any = None) -> ReportData:
     """Computes all data of the report. place: of a robot in MJCF, a `RobotLocalisation`; it has no growth and no weighings."""
     growth: tuple[GrowthCurve, ...] = ()
+    speeds: dict[str, tuple[float, float]] = {}
     gates, weighed, e, found = inquiry.gates, "", inquiry.evidence, inquiry.found
     c = compared(e, found.near if inquiry.verdict.taken else e, found.base.row, after(inquiry))
     if place is None:
         growth, weighed = curves(e.model, c.records, *c.rows), mass_properties.agreement(e.model, e.records)
-        place = localise(c, gates.adequacy)
-    return ReportData(inquiry, gates, c, place, growth, channels(inquiry), rounds(inquiry), blind(inquiry, gates), weighed)
+        place, speeds = localise(c, gates.adequacy), steady_speeds(c.records, c.predictions)
+    return ReportData(
+        inquiry, gates, c, place, growth, channels(inquiry), rounds(inquiry), blind(inquiry, gates), weighed, speeds
+    )
 
 
 def after(inquiry: Inquiry) -> np.ndarray:
@@ -177,6 +182,7 @@ def plain(m: ReportData) -> dict:
         "gap": {"before": (pair := gap_of(m))[0], "after": pair[1], "allowed": m.gates.adequacy, "by_channel": m.channels},
         "localisation": place,
         "weighed": m.weighed,
+        "speeds": m.speeds,
         "growth": [asdict(c) | {"kind": c.kind} for c in m.growth],
         "rounds": [asdict(r) for r in m.rounds],
         "not_visible": [asdict(b) for b in m.blind],

@@ -12,6 +12,7 @@ from fishmj.base.pages import Section, figure, part, table
 from fishmj.effects import catalogue
 from fishmj.effects.effect import Effect
 from fishmj.gap.localise.narrative import nothing
+from fishmj.gap.localise.swimming_speed import speeds_text
 from fishmj.gap.report import pictures
 from fishmj.gap.report.pictures import STYLE, letter, traces
 from fishmj.gap.report.report_data import ReportData, RoundFinalists, gap_of, record_parts
@@ -228,12 +229,14 @@ def records(m: ReportData) -> Section:
         before, after = (float(np.mean(x[some])) for x in m.comparison.ratio)
         found.append((r, f"{level(before)} → {level(after)}" if m.comparison.changed else level(before)))
     found += [(r, "-") for r, u in zip(m.inquiry.records, m.inquiry.unseen, strict=True) if u]
+    said = {r.name: [f"{v:.3f}" for v in m.speeds.get(r.name, ())] or ["-", "-"] for r, _ in found} if m.speeds else {}
     rows = [
         {"record": part("strong", r.name), "experiment": r.excitation, "use": use[r.name], "length": f"{r.seconds:.1f} s"}
         | {"mean z²": pair}
+        | ({"m/s measured": said[r.name][0], "m/s model": said[r.name][1]} if said else {})
         for r, pair in found
     ]
-    return Section("The records", "", [table(rows, left=3)])
+    return Section("The records", sentence(speeds_text(m.speeds)), [table(rows, left=3)])
 
 
 def escape_text(text: str) -> Markup:
