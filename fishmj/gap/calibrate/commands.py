@@ -79,7 +79,7 @@ def open_logs(args, robot: Robot, only: Sequence[str] = ()) -> Logs:
     return Logs(logs.folder, trials, broken, (*logs.notes, *whose, *doubts))
 
 
-def open_bench_logs(args, robot: Robot, verb: str) -> tuple[Logs, ServoStand]:
+def open_bench_logs(args, robot: Robot, verb: str = "servo") -> tuple[Logs, ServoStand]:
     """The trials and the plant for comparison; missing data are reported before anything is compiled."""
     logs, plant = open_logs(args, robot, physical_checks.JOINTS)._replace(verb=verb), ServoStand(robot)
     if note := smoothing([logs.trials[name] for name in logs.bench()]):
@@ -91,7 +91,7 @@ def open_bench_logs(args, robot: Robot, verb: str) -> tuple[Logs, ServoStand]:
 def run_servo(args) -> Answer:
     """Servo gain, damping, friction and command latency from sine, square and impulse."""
     robot = load_robot(args.model)
-    logs, plant = open_bench_logs(args, robot, "servo")
+    logs, plant = open_bench_logs(args, robot)
     found = servo_of(args, logs, plant)
     page, picture, answer = servo_report(args, logs, found)
     estimates = {name: widened(e) for name, e in found.estimates.items()}

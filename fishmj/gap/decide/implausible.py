@@ -1,4 +1,4 @@
-"""What to do about an effect of an implausible size: another record of the same kind would show the same."""
+"""Advice on an effect of an implausible size: another record of the same kind would show the same."""
 
 from collections.abc import Iterable
 
