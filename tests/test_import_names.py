@@ -118,3 +118,57 @@ def test_a_rate_of_the_heading_is_no_heading():
     assert header.role(header.parse("theta_dot"), set()).places == ("joint.w#",)
     assert header.role(header.parse("yaw_dot"), set()).places == ("velocity.yaw_rate",)
     assert header.role(header.parse("time_min"), set()).places == ("t",)
+
+
+BUS = [
+    "id1_goal_deg",
+    "id_1_goal",
+    "ID1_GoalPosition",
+    "goal_id1_deg",
+    "dxl_id_1_goal",
+    "dxl1_goal_position",
+    "motor1_target",
+    "m1_setpoint",
+]
+
+
+@pytest.mark.parametrize("column", BUS)
+def test_a_goal_of_a_servo_on_a_bus_is_a_command(column):
+    assert header.role(header.parse(column), set()).places == ("cmd.c#",)
+
+
+@pytest.mark.parametrize("column", ["id1", "fish_id", "id1_x", "id1_goal_x", "id1_position", "id1_heading_deg", "target_id_1"])
+def test_an_identity_of_an_animal_is_no_servo(column):
+    assert header.role(header.parse(column), set()).places == ()
+
+
+T = {"unix_ms": 1.76e12 + 20.0 * lab_files.N}
+POSE = {**T, "blob_x_mm": 900 + lab_files.N, "blob_y_mm": 30 * lab_files.WAVE, "blob_heading_deg": 9 * lab_files.WAVE}
+
+
+def test_goals_by_numbers_on_a_bus_come_in_beside_a_pose(tmp_path, bring):
+    goals = {f"id{k}_goal_deg": 20 * np.roll(lab_files.WAVE, k) for k in (1, 2, 3)}
+    lab_files.write(tmp_path / "lab" / "goal_positions.csv", T | goals)
+    lab_files.write(tmp_path / "lab" / "overhead.csv", POSE)
+    assert bring(tmp_path / "lab", "--yes")[0] == 0
+    trial = lab_files.only(tmp_path / "set")
+    lab_files.near(trial.tables["cmd"]["c3"], np.radians(goals["id3_goal_deg"]))
+
+
+def test_columns_that_speak_of_commands_are_not_left_out_in_silence(tmp_path, bring):
+    names = ["goal_front", "goal_mid", "goal_rear"]
+    lab_files.write(tmp_path / "lab" / "sent.csv", T | {name: 20 * np.roll(lab_files.WAVE, len(name)) for name in names})
+    lab_files.write(tmp_path / "lab" / "overhead.csv", POSE)
+    code, _, err = bring(tmp_path / "lab", "--yes")
+    assert code == 2 and "--set goal_front=cmd.c1:rad or cmd.c1:deg" in err and "=skip" in err
+    one = bring(tmp_path / "lab", "--yes", "--set", "unix_ms=t:ms", "--set", "goal_front=cmd.c1:deg")
+    assert one[0] == 2 and "--set goal_mid=cmd.c2" in one[2]
+    said = ("--set", "unix_ms=t:ms", *(word for name in names for word in ("--set", f"{name}=skip")))
+    assert bring(tmp_path / "lab", "--yes", *said)[0] == 0
+    assert set(lab_files.only(tmp_path / "set").tables) == {"pose"}
+
+
+def test_a_log_of_a_pose_alone_is_not_asked_about_its_commands(tmp_path, bring):
+    more = {"target_depth": lab_files.WAVE, "target_speed": lab_files.WAVE, "area": lab_files.WAVE, "elongation": lab_files.WAVE}
+    lab_files.write(tmp_path / "lab" / "overhead.csv", POSE | more | {"id1_area": lab_files.WAVE, "id2_area": -lab_files.WAVE})
+    assert bring(tmp_path / "lab", "--yes")[0] == 0

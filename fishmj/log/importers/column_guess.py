@@ -149,6 +149,25 @@ def headings(guesses: list[Guess]) -> list[Guess]:
     return out
 
 
+def lost_commands(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
+    """Asks about left-out columns whose names speak of a command or a servo, in a log without commands: they may be these."""
+    if any(g.place.startswith("cmd.") and not g.said for g in guesses):
+        return guesses
+    out = list(guesses)
+    for k, kind in enumerate(found):
+        mine = []
+        for i, g in enumerate(guesses):
+            name = header.parse(g.column)
+            speaks = name.has(header.COMMAND | header.SERVO) and not name.has(header.RATE | header.HEADING | header.AXES)
+            if g.kind == k and g.state == LEFT and not g.said and speaks and g.why in (header.UNKNOWN, header.NO_COLUMN):
+                mine += [i] * (len(np.unique(kind.values(g.column)[np.isfinite(kind.values(g.column))])) > 1)
+        said = sum(g.kind == k and g.said and g.place.startswith("cmd.c") for g in guesses)
+        for n, i in enumerate(mine if len(mine) + said > 1 else []):
+            why = "its name speaks of a command, and the log has none; =skip leaves it out"
+            out[i] = out[i].unclear(why, places=(f"cmd.c{said + n + 1}",))
+    return out
+
+
 def off_centre(guesses: list[Guess]) -> list[Guess]:
     """Asks about a pose of another point than the centre of mass, which the name of the column tells."""
     out = list(guesses)

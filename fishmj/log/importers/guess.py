@@ -70,7 +70,7 @@ def guess(found: Sequence[FileKind], said: dict[str, tuple[str, str, float]] | N
     out = [g for k, kind in enumerate(found) for g in _numbered([g for g in out if g.kind == k])]
     out = [g for k, kind in enumerate(found) for g in _units(kind, [g for g in out if g.kind == k])]
     out = _once(column_guess.off_centre(_points(_upright(out, found))), found)
-    return _complete(_nameless_joints(_counts(_silent(out, found)), found), found)
+    return _complete(column_guess.lost_commands(_nameless_joints(_counts(_silent(out, found)), found), found), found)
 
 
 def _roles(k: int, kind: FileKind, said: dict) -> list[Guess]:

@@ -167,6 +167,7 @@ class Role(NamedTuple):
 
 
 UNKNOWN = "the name says nothing that the log's schema knows"
+NO_COLUMN = "the schema has no such column"
 
 
 def role(name: Header, context: set[str]) -> Role:
@@ -218,9 +219,16 @@ def _force(name: Header, context: set[str]) -> Role | None:
         return Role(why=f"{name.unit}: the schema has no such column")
     if why := no_place(name):
         return Role(why=why)
-    if name.has(NOWHERE):
-        return Role(why="the schema has no such column")
+    if name.has(NOWHERE - {"id"} if _of_servo(name) else NOWHERE):
+        return Role(why=NO_COLUMN)
     return None
+
+
+def _of_servo(name: Header) -> bool:
+    """Returns True for a servo that is named by its identity on the bus: id1_goal_deg; not for an animal's, as in id1_x."""
+    measured = name.has({"present"}) or name.has(MEASURED) and measures(name.unit) == "angle"
+    first = name.words[:1] == ("id",) or name.has(SERVO | {"dxl", "xl"}) or measures(name.unit) in ("angle", "count")
+    return first and name.number is not None and (measured or name.has(COMMAND)) and not name.has(AXES)
 
 
 def _time(name: Header, context: set[str]) -> Role | None:
