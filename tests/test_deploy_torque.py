@@ -12,6 +12,7 @@ from fishmj.deploy.commands import swim_command
 from fishmj.deploy.link.links import MishLink
 from fishmj.deploy.loop.arming import why_not_armed
 from fishmj.deploy.loop.graceful_stop import GRACE, TIMES, graceful_stop
+from fishmj.deploy.loop.pilot import PlayedPilot
 from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.supervisor import Condition, SwimState
 from fishmj.deploy.loop.swim_loop import HOME, LET_GO, SwimOutcome
@@ -30,7 +31,8 @@ def test_stop_grace_period_covers_homing_and_torque_release():
 
 def test_a_swim_that_is_heard_to_let_go_says_nothing_of_it(tmp_path):
     outcome = Bench(tmp_path / "swim", seconds=1.0).swim()
-    assert outcome.released is True and outcome.words == "swam 1.0 s; ended by FINISHED"
+    assert outcome.released is True and outcome.words.startswith("swam 1.0 s; ended by FINISHED; ")
+    assert "torque" not in outcome.words
 
 
 def test_a_robot_that_does_not_let_go_is_told_of_and_the_exit_code_is_1(tmp_path, monkeypatch, capsys):
@@ -220,3 +222,24 @@ def test_letting_go_blindly_goes_on_where_the_link_fails(tmp_path):
     with graceful_stop(Event(), let_go, lambda: ""):
         interrupt._last()
     assert len(told) == TIMES
+
+
+@pytest.mark.parametrize("seconds", [5.0, 12.0])
+def test_a_swim_says_how_far_from_its_target_it_was(tmp_path, seconds):
+    bench = Bench(tmp_path / "swim", seconds=seconds, plan={"target": (0.3, 0.1)})
+    outcome, pose = bench.swim(), read_trial(tmp_path / "swim").tables["pose"]
+    began = next(event.t for event in bench.events if event.after is SwimState.SWIMMING) - bench.log._zero
+    home = next(event.t for event in bench.events if event.after is SwimState.NEUTRAL) - bench.log._zero
+    swum = (pose["t_taken"] >= began) & (pose["t_rx"] < home + DT / 2)
+    off, t = np.hypot(pose["x"] - 0.3, pose["y"] - 0.1)[swum], pose["t_taken"][swum]
+    rms = [np.sqrt(np.mean(part**2)) for part in (off, off[t > t[-1] - 10.0])[: 1 + (seconds > 10)]]
+    np.testing.assert_allclose(outcome.off_target, rms, atol=3e-4)
+    recent = f" ({outcome.off_target[1]:.3f} in the last 10 s)" if seconds > 10 else ""
+    assert outcome.words.endswith(f"ended by FINISHED; {outcome.off_target[0]:.3f} m RMS from the target{recent}")
+    assert outcome.figures["off_target_m"]["rms"] == outcome.off_target[0]
+    assert ("rms_last_10_s" in outcome.figures["off_target_m"]) == (seconds > 10)
+
+
+def test_a_gait_steers_to_nowhere_and_says_no_distance(tmp_path):
+    outcome = Bench(tmp_path / "swim", seconds=1.0, pilot=PlayedPilot(np.zeros((50, 3)))).swim()
+    assert outcome.off_target == () and "target" not in outcome.words

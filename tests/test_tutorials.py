@@ -78,8 +78,10 @@ EXPECTED = {  # what the page quotes and what does not hang on how long it ran
     "simulate": ("| swims ahead                   | 0.251 m/s", "1.0 Hz: 0.250 m/s", "2.0 Hz: 0.454 m/s", "solved.html"),
     "solver": ("1 of 1 checks hold", "force history: ", "C_D = 1.73", "swim.html"),
     "tank": (
-        "ended by FINISHED; log in runs/first",
-        "ended by POSE_LOST; log in runs/blind",
+        "ended by FINISHED; 0.0",
+        "in the last 10 s); log in runs/first",
+        "ended by POSE_LOST; ",
+        "m RMS from the target; log in runs/blind",
         "SWIMMING -> NEUTRAL: POSE_LOST",
         "first.html",
     ),

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from math import hypot
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from fishmj.deploy.loop.arming import Refusal, asked_at_the_tank, examine, servo
 from fishmj.deploy.loop.clock import Clock
 from fishmj.deploy.loop.command_limits import Limiter, towards_zero
 from fishmj.deploy.loop.observation import ObservationBuilder
-from fishmj.deploy.loop.pilot import Pilot
+from fishmj.deploy.loop.pilot import Pilot, PolicyPilot
 from fishmj.deploy.loop.status import StatusLine
 from fishmj.deploy.loop.supervisor import NONE, Action, Condition, Decision, Supervisor, SwimState, decide, named
 from fishmj.deploy.loop.ticker import Tick, Ticker
@@ -41,6 +42,7 @@ GREET, ASK = 10, 5  # ticks between two greetings, and between two requests to a
 GUARDS = 0.5  # s from the first packet that arming waits for slow measurements which a guard wants
 HOME = 2.0  # s that the way to zero may take
 LET_GO = 10  # ticks in which the robot is told to let go, until it says that it has
+RECENT = 10.0  # s at the end of a swim, whose distance from the target is said by itself
 POSE = Condition.POSE_OLD | Condition.POSE_LOST | Condition.POSE_JUMP | Condition.LEFT_TANK
 
 
@@ -106,6 +108,8 @@ class SwimOutcome:
         released: True if the robot reported its torque off; None if its protocol cannot, or it never was armed.
         lets_go: True if the protocol can switch the torque off. camera: reason for the end of the poses, "" while they came.
         faulty: servos with a fault at the end, and the voltage of a low battery; "" for none.
+        off_target: RMS distance from the target, m, over the poses of the swim, and over those of its last `RECENT` s if it was
+            longer; empty for a pilot without a target.
     """
 
     cause: Condition
@@ -116,6 +120,7 @@ class SwimOutcome:
     lets_go: bool = True
     camera: str = ""
     faulty: str = ""
+    off_target: tuple[float, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -127,12 +132,17 @@ class SwimOutcome:
         """One line for people."""
         if self.cause:
             faulty = f" ({self.faulty})" if self.faulty else ""
-            return f"swam {self.swim_seconds:.1f} s; ended by {named(self.cause)}{faulty}{self._blind}{self._torque}"
+            return f"swam {self.swim_seconds:.1f} s; ended by {named(self.cause)}{faulty}{self._blind}{self._off}{self._torque}"
         return f"not armed: {'; '.join(self.refused) or 'stopped'}{self._blind}"
 
     @property
     def _blind(self) -> str:
         return f" (camera: {self.camera})" if self.camera else ""
+
+    @property
+    def _off(self) -> str:
+        recent = "".join(f" ({rms:.3f} in the last {RECENT:g} s)" for rms in self.off_target[1:])
+        return f"; {self.off_target[0]:.3f} m RMS from the target{recent}" if self.off_target else ""
 
     @property
     def _torque(self) -> str:
@@ -171,6 +181,7 @@ class SwimLoop:
         self.refusal: Refusal | None = None if rig.link.greets else rig.examine(None)
         self.sent: deque[tuple[float, np.ndarray]] = deque(maxlen=50)
         self.latencies: list[float] = []
+        self.off: list[tuple[float, float]] = []  # s, m from the target: of the poses while it swims
         self.began: float | None = None  # of SWIMMING
         self.home: float | None = None  # of NEUTRAL
         self.swim_seconds, self.letting_go, self.over = 0.0, 0, False
@@ -239,6 +250,8 @@ class SwimLoop:
         for fix in self.rig.localiser.fixes(now):
             if (pose := self.observer.fix(fix, now)) is not None:
                 self.log.fix(pose, float(fix.quality))
+                if self.began is not None and self.home is None and pose.t >= self.began:
+                    self.off.append((pose.t, hypot(pose.x - self.plan.target[0], pose.y - self.plan.target[1])))
 
     def decide(self, now: float) -> Decision:
         """Decision of the supervisor from the conditions at `now` [s]."""
@@ -424,6 +437,14 @@ class SwimLoop:
         if self.began is not None and self.home is None:
             self.swim_seconds = now - self.began
 
+    def _off_target(self) -> tuple[float, ...]:
+        """RMS distances from a policy's target, as of `SwimOutcome`."""
+        if not isinstance(self.pilot, PolicyPilot) or not self.off:
+            return ()
+        t, off = np.array(self.off).T
+        spans = [off] if t[-1] - t[0] <= RECENT else [off, off[t > t[-1] - RECENT]]
+        return tuple(round(float(np.sqrt(np.mean(span**2))), 4) for span in spans)
+
     def _outcome(self, ticker: Ticker, share: float) -> SwimOutcome:
         late = np.array(self.latencies or [np.nan]) * 1e3
         figures = {
@@ -436,6 +457,9 @@ class SwimLoop:
             "commands_limited": self.limiter.acted,
             "rows_dropped": self.log.dropped,
         }
+        off = self._off_target()
+        if off:
+            figures["off_target_m"] = dict(zip(("rms", f"rms_last_{RECENT:g}_s"), off, strict=False))
         if not self.latencies:
             figures.pop("camera_to_command_ms")
         refused = self.refusal.reasons if self.refusal is not None else ()
@@ -445,5 +469,5 @@ class SwimLoop:
         self.log.meta["host"] = {**self.log.meta.get("host", {}), **figures}
         return SwimOutcome(
             cause=self.supervisor.cause, refused=refused, swim_seconds=self.swim_seconds, figures=figures, released=released,
-            lets_go=lets_go, camera=str(getattr(self.rig.localiser, "failed", None) or ""), faulty=self._faulty,
+            lets_go=lets_go, camera=str(getattr(self.rig.localiser, "failed", None) or ""), faulty=self._faulty, off_target=off,
         )  # fmt: skip
