@@ -6,6 +6,7 @@ is gone. The differences between LX and Dynamixel servos are in `protocols.servo
 """
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ class ServoBusLink:
         ids: of the servos, from the head to the tail. zeros: angle of each servo for a straight joint, rad.
         signs: 1, or -1 for a servo that turns the other way. move_time: duration of each move, s, 0: at once.
         bus: kind of servos (`protocols.servo_bus.BUSES`). baud: of the line; None: the bus's own. tick: s.
+        patience: s after its last answer in which a servo does not count as silent while others answer, for simulated servos.
 
     Raises ConfigError: a repeated id, or one outside the bus's range; a move time on a bus without one; a line too slow for so
     many servos.
@@ -45,7 +47,7 @@ class ServoBusLink:
     def __init__(
         self, opened: Callable[[], Any], clock: Clock, ids: Sequence[int], zeros: Sequence[float] | None = None,
         signs: Sequence[int] | None = None, move_time: float = 0.0, *, bus: ServoBus = BUSES["lx"], baud: int | None = None,
-        tick: float = 0.02,
+        tick: float = 0.02, patience: float = 0.0,
     ):  # fmt: skip
         self.ids, self.zeros = tuple(ids), tuple(zeros or (0.0,) * len(ids))
         self.signs = tuple(signs or (1,) * len(ids))
@@ -60,6 +62,7 @@ class ServoBusLink:
             raise ConfigError(f"servo bus: signs {_listed(self.signs)}; expected 1 or -1 for each joint")
         if move_time and not bus.moves_in_time:
             raise ConfigError(f"servo bus: command_path 'move_time', which {bus.name} does not have; take linear or hold")
+        self.patience = patience
         self._opened, self.clock, self.move_time = opened, clock, round(1000 * move_time)
         if (asked := self._wire_time()) > self.budget:
             raise ConfigError(
@@ -128,7 +131,8 @@ class ServoBusLink:
         if len(self._position) < len(self.ids) or len(silent) == len(self.ids):
             return []
         self.counts["packets"] += 1
-        return [Received(self.clock.now(), self._packet(silent, now))]
+        lost = {servo for servo in silent if now - self._heard.get(servo, -inf) >= self.patience}
+        return [Received(self.clock.now(), self._packet(lost, now))]
 
     def silence(self) -> str:
         """Reason for a missing packet: the servos that did not answer, and those that did."""

@@ -32,6 +32,7 @@ from fishmj.deploy.link.links import RobotLink, datagram_link
 from fishmj.deploy.link.servo_bus_link import ServoBusLink
 from fishmj.deploy.link.transports import UdpTransport, open_serial
 from fishmj.deploy.loop.clock import Clock, MonotonicClock
+from fishmj.deploy.loop.watch import Thresholds
 from fishmj.deploy.protocols import PROTOCOLS, SERVO_BUS, mish
 from fishmj.deploy.protocols.servo_bus import BUSES
 from fishmj.deploy.tracker.calibration import Calibration
@@ -42,6 +43,7 @@ from fishmj.mjcf.description import Robot
 from fishmj.mjcf.reading import load_robot
 
 PORTS = {"fishmj-1": 2334}  # of the robot where the link names none; mish has its own
+OF_HOST = {"--protocol": "--protocol", "--model": "--robot", "--marks": "--tracker", "--parent": "", "--write-calibration": ""}
 STARTS = 60.0  # s that the loopback robot may take: it compiles its water at its first start
 ENDS = 5.0  # s that it may take to end
 NEAR = 0.005  # m that a painted band may stand off the head link, by the ruler
@@ -143,7 +145,14 @@ def parsed(made: console.Parser, argv: list[str]) -> Any:
         "--tracker colour": (args.tracker == "colour", paint),
         "a camera other than the loopback's, which draws its own marks": (seen, (*tag, *paint)),
     }
-    console.refuse_unheeded(made.prog.removeprefix("fishmj "), args, made, needs)
+    prog = made.prog.removeprefix("fishmj ")
+    console.refuse_unheeded(prog, args, made, needs)
+    for option in re.findall(r"(?<!\S)--[a-z-]+", args.loopback or ""):
+        if (own := OF_HOST.get(option)) is not None:
+            renamed = f", {own}" * (own != option)
+            beside = f"is an option of {prog} itself{renamed}: give it beside --loopback"
+            todo = beside if own else f"is set by {prog}: leave it out"
+            raise ConfigError(f"{prog}: --loopback: {option} {todo}")
     if ours and hasattr(args, "flow") and (theirs := _loopback_flow(args.loopback)) is not None:
         mine = args.flow = theirs if args.flow is None else args.flow
         if abs(rect(*mine) - rect(*theirs)) > 1e-6:
@@ -186,7 +195,8 @@ def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> R
     """The link that the options name, not opened yet."""
     kind, _, where = args.link.partition(":")
     if kind == "serial" or (fish is not None and fish.device):
-        return servo_link(args, robot, clock, partial(open_serial, fish.device if fish is not None else where, WAIT))
+        opened = partial(open_serial, fish.device if fish is not None else where, WAIT)
+        return servo_link(args, robot, clock, opened, 0.0 if fish is None else Thresholds().silent)
     if args.protocol == SERVO_BUS and fish is None:
         raise ConfigError(f"--protocol {SERVO_BUS} --link {args.link}: a servo bus is a line; take serial:DEVICE or loopback")
     if fish is not None:
@@ -201,11 +211,11 @@ def make_link(args: Any, robot: Robot, clock: Clock, fish: Loopback | None) -> R
     return datagram_link(args.protocol, transport)
 
 
-def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], Any]) -> ServoBusLink:
+def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], Any], patience: float = 0.0) -> ServoBusLink:
     """The robot's servo bus, from the options, else from the description's rig.
 
     Args:
-        opened: makes the serial line at a baud rate.
+        opened: makes the serial line at a baud rate. patience: s, as of `ServoBusLink`.
 
     Raises ConfigError: another count of numbers than joints; errors of `ServoBusLink`.
     """
@@ -222,7 +232,9 @@ def servo_link(args: Any, robot: Robot, clock: Clock, opened: Callable[[int], An
         raise ConfigError(f"servo bus: {got}; a servo of {bus.name} turns +-{turns:.3g} deg: {remedy}")
     lasting = robot.timing.bus_dt if robot.timing.command_path == "move_time" else 0.0
     baud = args.baud or rig.baud or bus.baud
-    return ServoBusLink(partial(opened, baud), clock, ids, zeros, signs, lasting, bus=bus, baud=baud, tick=robot.timing.bus_dt)
+    return ServoBusLink(
+        partial(opened, baud), clock, ids, zeros, signs, lasting, bus=bus, baud=baud, tick=robot.timing.bus_dt, patience=patience
+    )
 
 
 def camera_of(text: str | None, fish: Loopback | None) -> str:
