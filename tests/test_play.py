@@ -6,7 +6,6 @@ import json
 import math
 import os
 import pty
-import re
 import socket
 import struct
 import subprocess
@@ -204,7 +203,7 @@ def test_the_command_serves_meshcat_swims_and_stops(tmp_path, capsys):
     assert main(["--controller", "drift", "--headless-seconds", "2", "--save", str(tmp_path / "a"), "--json"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("water: fitted") and lines[1].startswith("building swift")
-    assert re.match(r"open http://127.0.0.1:\d+/static/ in a browser", lines[2])
+    assert not [line for line in lines if "in a browser" in line]  # nobody could open it in time
     told = json.loads(lines[-1])
     assert told["seconds"] == pytest.approx(2.0) and told["controller"] == "drift"
     assert log.read_trial(tmp_path / "a").tables["truth"]["t"][-1] == pytest.approx(2.0)

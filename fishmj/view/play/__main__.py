@@ -180,7 +180,8 @@ def main(argv: list[str] | None = None) -> int:
     alone = args.headless_seconds is not None
     with interrupt.raising(), LiveView(session.robot, args.host) as view, Keyboard() if alone else Keyboard.of_terminal() as keys:
         reach = "this machine only" if args.host in (LOCAL, "localhost", "::1") else "whoever can reach this machine"
-        console.say(f"open {view.url} in a browser (served on {args.host}: {reach})", "" if alone else KEYS)
+        if not alone:  # else it ends before anyone has opened the page
+            console.say(f"open {view.url} in a browser (served on {args.host}: {reach})", KEYS)
         try:
             swim(session, view, keys, args.headless_seconds, (lambda text: None) if alone else show_status)
         except KeyboardInterrupt:
