@@ -220,6 +220,18 @@ def test_hours_of_the_solver_on_a_cpu_that_nobody_asked_for_are_not_begun(capsys
     assert code == 2 and "4320 s of water" in err and "--device cpu begins all the same" in err
 
 
+def test_the_default_slip_of_a_described_fish_is_noted(capsys, monkeypatch):
+    from fishmj.lbm_oracle.run import solver_cost
+
+    monkeypatch.setattr(solver_cost, "agree", lambda *_, **__: None)
+    monkeypatch.setattr(command, "judge_in_tanks", lambda *_: iter(()))
+    monkeypatch.setattr(command, "report", lambda *_: 0)
+    lbm = ("drift", "--water", "lbm", "--robot")
+    assert "slip 1 (frictionless), the default" in run_command(capsys, *lbm, "tendon_fish")[2]
+    for more in (("fish",), ("tendon_fish", "--slip", "1"), ("tendon_fish", "--boundary", "wall_stress")):
+        assert "frictionless" not in run_command(capsys, *lbm, *more)[2]
+
+
 def test_second_report_replaces_the_first_whole(capsys, tmp_path):
     """Logs, pictures and replay of the first run show other trials; files of the user's own stay."""
     out = tmp_path / "o"

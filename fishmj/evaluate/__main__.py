@@ -30,6 +30,9 @@ REFERENCE = ("--reference", "--boundary", "--storage", "--dx")  # options of --w
 EVERY = "--every"  # option of --water hybrid only
 FALLBACKS = ("compiled", "planar")
 HELD, WORK = 25, 35  # bytes per tick and per (joints + 3) columns: of a finished controller, more of a running one; measured
+FRICTIONLESS = (
+    "slip 1 (frictionless), the default; a real fish is better judged at 0.99: --slip 0.99 (docs/simulate/your_own_fish.md)"
+)
 EXAMPLES = f"""examples:
   fishmj evaluate dob                                      the standard 72 trials
   fishmj evaluate station dob --turbulence gust --out runs/gust --plots   two controllers, paired comparison, with plots
@@ -168,6 +171,8 @@ def main(argv: list[str]) -> int:
         if not args.ray:
             solver_cost.agree("evaluate", args.device, work, instead=less, tanks=min(args.tanks, len(trials)))
         begin(water, brains, drawn, f": {args.solver.said}")
+        if args.slip is None and args.reference is None and args.boundary != "wall_stress" and args.robot != "fish":
+            console.warn(FRICTIONLESS)
         with interrupt.keeping(lambda: tanks_words(args.out)):
             results: list[Result] = []
             for found in judge_in_tanks(brains, robot, trials, args):
