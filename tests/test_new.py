@@ -190,7 +190,8 @@ def test_a_hull_that_cannot_float_its_mass_is_marked(capsys):
     said = capsys.readouterr()
     assert said.err.count("to float") == 1 and said.err.startswith("fishmj: heavy.toml [[link]] mass")
     told = json.loads(said.out.splitlines()[-1])
-    assert next(c for c in told["checks"] if c["what"] == "width scale")["verdict"] == "look"
+    check = next(c for c in told["checks"] if c["what"] == "width scale")
+    assert (check["verdict"], check["advice"]) == ("look", "") and "\nwidth scale:" not in said.out
 
 
 def test_a_servo_that_cannot_move_the_fish_fails_the_check(capsys):

@@ -18,7 +18,6 @@ GOOD, WRONG = (0.8, 1.25), (0.5, 2.0)  # factor on the widths
 FAST, FASTEST = 0.7, 1.0  # peak rate of the beat over the no-load speed
 STRONG = 0.7  # peak drive over the stall torque
 SLOW = 0.05  # body lengths a second, below which it does not swim
-SIZES = "the mass, a height or a width is off: the hull as measured does not displace what the fish weighs"
 SPEED = "beat slower or smaller, or take a faster servo"
 TORQUE = "beat slower or smaller, or take a stronger servo; at a drive of the stall torque the joints lag behind"
 STRONGER = "a servo far too strong for so light a fish shakes it to pieces at 4 ms a step; check both"
@@ -64,7 +63,7 @@ def checks(robot: Robot, swim: StillWaterSwim) -> list[SwimCheck]:
     weight = f"{robot.mass:.4g} kg, the mass"
     share, tilt = _graded(gap / robot.mass, (0, 1e-3)), _graded(abs(trim) / length, (0, 0.01))
     return [
-        _line("width scale", f"{g.width_scale:.3f}", "0.8 to 1.25", _graded(g.width_scale, GOOD, WRONG), SIZES),
+        _line("width scale", f"{g.width_scale:.3f}", "0.8 to 1.25", _graded(g.width_scale, GOOD, WRONG)),  # a note says more
         _line("hull as measured displaces", f"{raw:.4g} kg", weight, _graded(raw / robot.mass, GOOD, WRONG)),
         _line("link weighs what it displaces", f"within {1000 * gap:.1g} g", "within 0.1 %", share),
         _line("trim: mass ahead of buoyancy", f"{round(1000 * trim, 1) + 0.0:.1f} mm", "within 1 % of length", tilt),
