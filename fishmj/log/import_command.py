@@ -101,7 +101,9 @@ def options() -> console.Parser:
     rule = sub.add_mutually_exclusive_group()
     rule.add_argument("--one-trial", action="store_true", help="the files of one folder are one trial; default: by their columns")
     rule.add_argument("--trial-each", action="store_true", help="every file is a trial; default: by their columns")
-    add("--skip-bad", action="store_true", help="bad files are left out and listed; default: any ends the import with exit 2")
+    bad = sub.add_mutually_exclusive_group()
+    bad.add_argument("--strict", action="store_true", help="any bad file ends the import with exit 2 (the default)")
+    bad.add_argument("--skip-bad", action="store_true", help="bad files are left out and listed; default: --strict")
     add("--yes", action="store_true", help="take the guess without being asked; default: ask on a terminal")
     return sub
 
