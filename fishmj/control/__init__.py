@@ -84,6 +84,11 @@ DIVISORS = (
 )  # fmt: skip  # gains above 0
 
 
+def largest_gain(unit: str) -> float:
+    """Returns the largest gain of this unit that is accepted."""
+    return MOST.get(unit, 1e4)
+
+
 def anyway_option(parser: argparse.ArgumentParser) -> None:
     """Adds `--anyway`."""
     about = "allow policies on another command path than in training; policies for another structure are still refused"
@@ -219,7 +224,7 @@ def gains_of(section: str, changes: dict | None = None, file: "Path | None" = No
         if np.shape(value) != np.shape(values[key]) or not np.issubdtype(np.asarray(value).dtype, np.number):
             raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected a value such as {values[key]!r}")
         kind, unit = type(values[key]) is int, shipped_gains()[section][key]["unit"]
-        within = Number(2 if kind else 0, MOST.get(unit, 1e4), above=key in DIVISORS, whole=kind)
+        within = Number(2 if kind else 0, largest_gain(unit), above=key in DIVISORS, whole=kind)
         if not all(within.holds(part) for part in np.ravel(value).tolist()):
             raise ConfigError(f"gain {key} of {section}: got {value!r:.80}, expected {within.expected} {unit}".removesuffix(" 1"))
     return {**values, **(changes or {})}

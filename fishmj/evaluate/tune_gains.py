@@ -64,6 +64,13 @@ class GainSearch(NamedTuple):
         """Logarithms of the first gains."""
         return np.log(np.concatenate([np.ravel(value) for value in self.first.values()]))
 
+    def reach(self) -> np.ndarray:
+        """(G, 2) bounds of the logarithms: a factor of `REACH` either way, below the largest gain of its unit."""
+        units = {key: entry["unit"] for key, entry in shipped_gains()[self.name].items()}
+        most = [np.full(np.size(value), control.largest_gain(units[key])) for key, value in self.first.items()]
+        point = self.point()
+        return np.stack([point - np.log(REACH), np.minimum(point + np.log(REACH), np.log(np.concatenate(most)))], 1)
+
     def gains(self, point) -> dict[str, Any]:
         """Gains at a point, rounded to four digits."""
         given, values = {}, iter(np.exp(point))
@@ -105,7 +112,6 @@ def tune(search: GainSearch, robot: Robot, budget: int, seed: int, kept: Path | 
     from cmaes import CMA
 
     start = search.point()
-    reach = np.stack([start - np.log(REACH), start + np.log(REACH)], 1)
     generations = max(1, budget // GENERATION)
     mark = {
         "controller": search.name, "first": search.first, "robot": sha256(repr((robot, robot.effects)).encode()).hexdigest(),
@@ -114,7 +120,7 @@ def tune(search: GainSearch, robot: Robot, budget: int, seed: int, kept: Path | 
     done: list[list[float]] = []
     if kept is not None and kept.is_file() and (old := store.read_json(kept)).get("mark") == mark:
         done = old["scores"]
-    optimiser = CMA(start, SPREAD, bounds=reach, seed=seed, population_size=GENERATION)
+    optimiser = CMA(start, SPREAD, bounds=search.reach(), seed=seed, population_size=GENERATION)
     engine = engines.make(engines.fastest(), robot)
     for g in range(generations):
         points = [optimiser.ask() for _ in range(GENERATION)]
