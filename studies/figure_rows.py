@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.evaluate.experiments.controller_comparison import gap_closed
+from fishmj.evaluate.experiments.controller_comparison import BOUND, gap_closed
 from fishmj.evaluate.metrics import difference, estimate, holm, paired_p
 from fishmj.gap.bench import family_score, power
 
@@ -217,17 +217,22 @@ def rivals(label: str) -> list[float]:
     """Controllers that `station-family` beats by both keys, all, and the largest p after Holm: reference, seed 9, paired.
 
     Then the share [%], with its interval, of the gap in RMSE after arrival from the best rival to `privileged` that it closes.
+    The gap is that to `privileged` of earlier gains, which holds better in the reference than that of today's.
     """
-    rows = [row for row in table(SOLVED / "judged_reference.csv") if row["water"] == "reference-2" and row["seed"] == "9"]
     trials: dict[str, dict] = {}
-    for row in rows:
-        trials.setdefault(row["controller"], {})[row["speed"], row["los_deg"]] = row
+    earlier: dict[tuple[str, str], dict] = {}
+    for row in table(SOLVED / "judged_reference.csv"):
+        trial = row["speed"], row["los_deg"]
+        if row["water"] == "reference-2" and row["seed"] == "9":
+            trials.setdefault(row["controller"], {})[trial] = row
+        elif (row["water"], row["controller"]) == ("reference-2, earlier gains", BOUND):
+            earlier[trial] = row
     mine, better, p = trials.pop(NAME), [], []
     for key in ("rmse_after_arrival", "rmse_last20"):
         ours, *theirs = (np.array([float(swum[one][key] or "nan") for one in mine]) for swum in (mine, *trials.values()))
         better.append([difference(key, ours, x).low > 0 for x in theirs])
         p += list(holm([paired_p(ours, x) for x in theirs]))
-    key, swims = "rmse_after_arrival", {NAME: mine} | trials
+    key, swims = "rmse_after_arrival", {NAME: mine} | trials | {BOUND: earlier}
     figures = {name: {"figures": {key: column([swum[one] for one in mine], key)}} for name, swum in swims.items()}
     closed = gap_closed(figures, key)
     return [int(np.all(better, 0).sum()), len(trials), max(p), *(100 * x for x in (closed.value, closed.low, closed.high))]

@@ -73,7 +73,7 @@ CONTROLLERS = {
     "koopman-rls": Entry("koopman", "the same, adapting its model"),
     "mpc": Entry("mpc", "sampling MPC with a model of still water"),
     "mpc-flow": Entry("mpc", "sampling MPC that estimates the flow"),
-    "privileged": Entry("mpc", "mpc-flow with the true flow: an upper bound, for simulations only"),
+    "privileged": Entry("mpc", "mpc-flow with the true flow, for simulations only"),
 }
 NAMES = tuple(CONTROLLERS)
 GAINS = "controllers.toml"  # in data/calib
