@@ -464,3 +464,11 @@ def test_a_fish_at_rest_is_no_tracker_that_repeats_its_pose(swims, rests, late, 
     k = np.maximum.accumulate(np.where(lost, 0, np.arange(len(t))))
     tables["pose"] |= {name: v[k] for name, v in place.items()}
     assert any("repeat the pose of the row before" in f.text for f in physical_checks.examine(rest))
+
+
+def test_columns_of_a_file_of_commands_are_asked(tmp_path, bring):
+    """Beside a file of joints they would be left out, and the log would have no commands. A target's file has a place."""
+    lab_files.write(tmp_path / "in" / "commands.csv", {"time": T, **dict(zip(("front", "mid", "aft"), SWING, strict=True))})
+    lab_files.write(tmp_path / "in" / "encoders.csv", {"time": T, **{f"joint{k + 1}": 0.9 * q for k, q in enumerate(SWING)}})
+    code, _, err = bring(tmp_path / "in", "--yes")
+    assert code == 2 and "mid: its file speaks of a command, and the log has none" in err and "--set mid=cmd.c2" in err

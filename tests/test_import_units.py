@@ -14,6 +14,10 @@ from fishmj.log.importers import guess, header
 from fishmj.log.importers.header import role
 from fishmj.log.limits import typed
 
+T = 0.02 * N
+SERVOS = [0.5 * np.sin(6 * T - k) for k in range(3)]  # rad
+NAMED = {f"servo{k + 1}_rad": q for k, q in enumerate(SERVOS)}
+
 
 @pytest.fixture
 def bring(tmp_path, capsys, monkeypatch):
@@ -386,3 +390,37 @@ def test_a_joint_that_swings_about_a_far_middle_is_noted(tmp_path, bring):
     assert bring(tmp_path / "a.csv", "--yes")[0] == 0
     told = [note for note in only(tmp_path / "set").meta["notes"] if "never straight" in note]
     assert len(told) == 2 and "'servo1' as cmd.c1" in told[0]
+
+
+def test_commands_that_end_at_exactly_one_are_asked(tmp_path, bring):
+    """Actions of a policy lie in [-1, 1]; so may commands in rad. A unit in the name decides, as do values beyond."""
+    for name, unit, scale, asked in (("policy", "", 1.0, True), ("named", "_rad", 1.0, False), ("beyond", "", 1.2, False)):
+        clipped = {f"cmd{k + 1}{unit}": np.clip(3 * q, -1, 1) * scale for k, q in enumerate(SERVOS)}
+        lab_files.write(tmp_path / name / "a.csv", {"time": T, **clipped})
+        code, _, err = bring(tmp_path / name, "--yes", out=tmp_path / f"{name}_set")
+        assert (code == 2) is asked and ("--set cmd1=cmd.c1:rad or cmd.c1:rad*SCALE" in err) is asked, err
+    said = [f"--set=cmd{k}=cmd.c{k}:rad*0.5" for k in (1, 2, 3)]
+    assert bring(tmp_path / "policy", *said, "--yes", out=tmp_path / "half")[0] == 0
+    near(only(tmp_path / "half").table("cmd")["c1"], 0.5 * np.clip(3 * SERVOS[0], -1, 1))
+
+
+def test_whole_numbers_below_a_converter_s_range_are_no_millivolts_for_sure(tmp_path, bring):
+    counts = np.round(2500 - T)
+    for name, column, values, asked in (
+        ("counts", "vbat", counts, True),
+        ("named", "vbat_mV", counts + 1000, False),
+        ("supply", "vbat", counts + 5000, False),
+    ):
+        lab_files.write(tmp_path / name / "a.csv", {"time": T, **NAMED, column: values})
+        code, _, err = bring(tmp_path / name, "--yes", out=tmp_path / f"{name}_set")
+        assert (code == 2) is asked and ("mV, or counts of a converter (V*SCALE)?" in err) is asked, err
+
+
+def test_millimetres_in_which_a_fish_hardly_moves_are_asked(tmp_path, bring):
+    """A place in m under a name in mm; noise of a fish at rest is none."""
+    noise = 0.2 * np.random.default_rng(3).standard_normal((2, len(N)))
+    for name, x, asked in (("metres", 0.2 * T, True), ("rest", 30 + noise[0], False), ("swim", 200 * T, False)):
+        place = {"x_mm": x, "y_mm": noise[1] if name == "rest" else 0.1 * x, "yaw_rad": 0.0 * T}
+        lab_files.write(tmp_path / name / "a.csv", {"time": T, **NAMED, **place})
+        code, _, err = bring(tmp_path / name, "--yes", out=tmp_path / f"{name}_set")
+        assert (code == 2) is asked and ("in which it moves by" in err) is asked, (name, err)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from turning_fish import changed, turning
 
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
@@ -13,7 +14,7 @@ from fishmj.base.errors import LogError
 from fishmj.gap.calibrate.commands import open_logs
 from fishmj.gap.commands.admission import admitted, unphysical
 from fishmj.gap.records.datasets import readable_trials
-from fishmj.log import Trial, numbered, physical_checks, read_dataset, read_trial, unread_rows, write_dataset, write_trial
+from fishmj.log import Trial, physical_checks, read_dataset, read_trial, unread_rows, write_dataset, write_trial
 from fishmj.log.__main__ import main as log
 from fishmj.log.dataset import read_bundle
 from fishmj.log.trial_check import Plausible
@@ -25,27 +26,6 @@ COUNT = np.radians(0.24)
 
 def shipped(name: str) -> Trial:
     return read_trial(calib_folder() / "trials" / name)
-
-
-def changed(trial: Trial, table: str, **columns) -> Trial:
-    """A trial with some columns computed from the old ones."""
-    old = trial.tables[table]
-    return replace(trial, tables={**trial.tables, table: {**old, **{c: f(old[c]) for c, f in columns.items()}}})
-
-
-def turning(seconds: float = 12.0, rate: float = 0.15) -> Trial:
-    """A fish that swims ahead and turns left: commands, joints that follow, and the camera's poses."""
-    t = np.arange(0, seconds, 0.02)
-    phase = 2 * np.pi * t[:, None] - np.arange(3)
-    yaw = 2.0 + rate * t - 0.05 * np.sin(2 * np.pi * t - 1)
-    course = 2.0 + rate * t
-    x, y = 0.004 * np.cumsum(np.cos(course)), 0.004 * np.cumsum(np.sin(course))
-    tables = {
-        "cmd": {"t": t, **numbered("c#", 0.4 * np.sin(phase))},
-        "joint": {"t": t, **numbered("j#", 0.38 * np.sin(phase - 0.5))},
-        "pose": {"t": t, "x": x, "y": y, "yaw": yaw},
-    }
-    return Trial({"origin": "synthetic", "robot": "swift"}, tables, name="turning")
 
 
 def names(trial: Trial) -> dict[str, str]:
@@ -167,12 +147,6 @@ def test_an_echo_of_the_commands_is_no_measurement_of_the_joints(late):
 def test_a_heading_that_never_changes_in_a_swim_is_doubted():
     blank = changed(shipped("swim_gait_1"), "pose", yaw=lambda v: 0 * v + 0.1)
     assert levels(blank)["heading"] == physical_checks.NOTE and "is the heading not measured?" in names(blank)["heading"]
-
-
-def test_exchanged_joints_follow_the_command_of_the_other():
-    trial = turning()
-    one, two = (trial.tables["joint"][name] for name in ("j1", "j2"))
-    assert "j1 follows c2 and j2 follows c1" in names(changed(trial, "joint", j1=lambda v: two, j2=lambda v: one))["joint order"]
 
 
 @pytest.mark.parametrize(

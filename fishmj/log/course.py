@@ -254,11 +254,11 @@ def sway(trial: Trial, bounds: Plausible, length: float) -> Iterator[tuple[str, 
     if swings > SWINGS and free and sways < bounds.sway * swings and lengths < IDLE:
         yield (
             NOTE,
-            f"pose: the head swings by {np.degrees(swings):.2g} deg, the body sways by {sways / swings:.2g} body lengths a radian"
-            f" of it (expected 0.04 to 0.15, at least {bounds.sway:g}), and a beat carries it {lengths:.2g} body lengths (0.1 to"
-            " 1): are x and y too small (mm for cm, metres of a pixel)? Film a rule, and give columns.x and columns.y its unit or"
-            " scale in the map; where the camera tracks another point than the centre of mass, state --marker; where the fish is"
-            " towed, push",
+            f"pose: the head swings by {np.degrees(swings):.2g} deg, the body sways by {1e3 * length * sways / swings:.2g} mm a"
+            f" radian of it (expected 0.04 to 0.15 body lengths, at least {bounds.sway:g}), and a beat carries it"
+            f" {1e3 * length * lengths:.2g} mm (0.1 to 1 body lengths): are x and y too small (mm for cm, metres of a pixel)?"
+            " Film a rule, and give columns.x and columns.y its unit or scale in the map; where the camera tracks another point"
+            " than the centre of mass, state --marker; where the fish is towed, push",
         )
 
 

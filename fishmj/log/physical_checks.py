@@ -14,6 +14,7 @@ command) passes.
     joint sign      a joint that runs against its command at every plausible delay
     joint scale     a joint that moves by a multiple, or a small part, of its command
     joint order     two joints that follow each other's commands
+    joint frame     angles of links against the head or the tank, not against the link before
     heading         course over ground against yaw: clockwise, offset by 90 or 180 deg, its unit, of another body; folded
     handedness      the head recoils against the tail's swing, at its beat; a picture in a mirror shows it swing along
     wave            the body wave of a fish that swims ahead runs to its tail
@@ -26,7 +27,7 @@ command) passes.
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import pairwise
 from math import pi
 from typing import NamedTuple
 
@@ -36,15 +37,9 @@ from fishmj.base.errors import LogError
 from fishmj.log.course import (
     DRIVEN,
     FEWEST,
-    FOLLOWS,
-    GRID,
     IMPORT,
     NOTE,
-    OTHER,
     USE,
-    common_clock,
-    correlation,
-    delayed,
     drifts,
     handedness,
     heading,
@@ -52,6 +47,7 @@ from fishmj.log.course import (
     sway,
     wave,
 )
+from fishmj.log.joint_checks import joint_frame, joint_order, joint_scale, joint_sign, standing_still
 from fishmj.log.measured_rates import turning, velocity
 from fishmj.log.trial import Trial
 from fishmj.log.trial_check import Plausible, bounds_of
@@ -64,7 +60,6 @@ from fishmj.log.unread_rows import (
     folds,
     fresh_rows,
     is_coarse,
-    is_logged,
     is_sound,
     joints,
     leaps,
@@ -74,7 +69,6 @@ from fishmj.log.unread_rows import (
 )
 
 APART_BY = {"c": 0.02, "j": 0.02, "x": 0.01, "y": 0.01}  # rad, m: least distance between two sources
-WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a command that it follows
 RELEASED = 0.02  # m from a pose that was held to the next one
 ECHO = 5  # rows by which an echo of a command is late, at most
 FROZEN = 0.5  # s of one pose to the last digit while the joints move
@@ -84,8 +78,7 @@ OLD = 0.01  # share of rows that repeat a pose for less than that, or were fille
 LINE, ROUNDED = 5e-3, 0.03  # of the usual bend between rows, on a straight line: exact numbers, and rounded ones at most
 FILLED, RESAMPLED = 3, 0.2  # rows of one line; share of rows on lines from which shorter ones count
 STEPS = 1.5  # of the numbers' last digit from row to row, up to which a line is one of rounding: a fish that rests or drifts
-STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
-FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
+SHORTEST = 0.05  # m, of a robotic fish
 
 
 class PhysicalFinding(NamedTuple):
@@ -109,7 +102,7 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     """Findings of all checks on one trial; [] if it is sound or lacks the needed motion.
 
     Args:
-        only: names of checks; all by default. length: of the robot [m]; without it stride and sway are not judged.
+        only: names of checks; all by default. length: of the robot [m]; without it sway is judged for the shortest, stride not.
 
     Raises LogError: a table has no rows, or `[plausible]` of the trial is no table of bounds.
     """
@@ -120,8 +113,8 @@ def examine(trial: Trial, only: Iterable[str] = (), length: float = 0.0) -> list
     about = "body lengths that a beat carries the fish through the water"
     scale = PhysicalCheck("stride", about, "stride", partial(stride, length=length))
     aside = "sway of the body over its length, for a radian that the head swings"
-    small = PhysicalCheck("sway", aside, "sway", partial(sway, length=length))
-    checks = (*CHECKS, scale, small) if length else CHECKS
+    small = PhysicalCheck("sway", aside, "sway", partial(sway, length=length or SHORTEST))
+    checks = (*CHECKS, scale, small) if length else (*CHECKS, small)
     wanted = set(only) or {check.name for check in checks}
     found = lost_poses(trial.tables.get("pose", {}), bounds)
     seen = _without_lost(trial, found[0])
@@ -248,35 +241,6 @@ def _joint_speed(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
             yield IMPORT, text
 
 
-def _standing_still(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    for name, t, c, j in _pairs(trial):
-        told, moved = float(np.ptp(c)), float(np.ptp(j))
-        if told > 2 * DRIVEN and t[-1] - t[0] > 1.0 and moved < bounds.still * told:
-            text = (
-                f"joint: {name} stands still ({np.degrees(moved):.2g} deg) while c{name[1:]} moves by {np.degrees(told):.3g} deg;"
-                " is the servo unpowered or jammed, or is it another column?"
-            )
-            yield USE, text
-        elif (stretches := _still_stretches(t, c, j, bounds)) and moved >= bounds.still * told:
-            text = (
-                f"joint: {name} stands still at t = {stretches[0]:.3g} s, {(len(stretches) - 1) * STRIDE + STRETCH:.3g} s in all,"
-                f" while c{name[1:]} moves: did the servo lose its power, or jam?"
-            )
-            yield USE, text
-
-
-def _still_stretches(t: np.ndarray, c: np.ndarray, j: np.ndarray, bounds: Plausible) -> list[float]:
-    """Start times [s] of the stretches of `STRETCH` in which a command moves within the joint's reach and the joint does not."""
-    rows, late = round(STRETCH / GRID), round(FOLLOWS[-1] / GRID)
-    out = []
-    for i in range(0, len(t) - rows, round(STRIDE / GRID)):
-        told, moved = c[i : i + rows - late], float(np.ptp(j[i : i + rows]))
-        within = np.clip(told, j.min(), j.max())
-        if t[i + rows] - t[i] < 1.5 * STRETCH and np.ptp(within) > 4 * DRIVEN and moved < bounds.still * np.ptp(within):
-            out.append(float(t[i]))
-    return out
-
-
 def _stale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     yield from _frozen_pose(trial, bounds)
     yield from _interpolated_pose(trial, bounds)
@@ -393,60 +357,17 @@ def _of_a_swim(trial: Trial, runs: list[tuple[int, int]]) -> list[tuple[int, int
     return [run for run, (i, j) in zip(runs, near, strict=True) if any(np.ptp(v[i:j]) > least for v in seen if i < j)]
 
 
-def _joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    for name, t, c, j in _pairs(trial):
-        if np.ptp(c) < DRIVEN or np.ptp(j) < 0.2 * np.ptp(c) or t[-1] - t[0] < 1.0:
-            continue
-        found = [correlation(*delayed(c, j, lag)) for lag in FOLLOWS]
-        worst, best = min(found), max(found)
-        if worst < -bounds.against and best < OTHER:
-            text = (
-                f"joint: {name} runs against its command c{name[1:]} (correlation {worst:.2f}, at no delay up to"
-                f" {FOLLOWS[-1]:.1f} s above {best:.2f}); one of the two counts the other way: give columns.{name} or"
-                f" columns.c{name[1:]} a sign = -1 in the map"
-            )
-            yield IMPORT, text
-
-
-def _joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    for name, t, c, j in _pairs(trial):
-        if np.ptp(c) < 2 * DRIVEN or t[-1] - t[0] < 1.0:
-            continue
-        times, best = float(np.std(j) / np.std(c)), max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS)
-        least = WEAK / bounds.gain
-        if not least <= times <= bounds.gain and times > bounds.still and best > FOLLOWED:
-            text = (
-                f"joint: {name} moves by {times:.3g} times its command c{name[1:]} (correlation {best:.2f}; {least:.2g} to"
-                f" {bounds.gain:g} times is plausible): another unit, or a gear between? Give columns.{name} a scale in the map"
-            )
-            yield USE, text
-
-
-def _joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
-    pairs = [pair for pair in _pairs(trial) if np.ptp(pair[2]) > 2 * DRIVEN and len(pair[1]) > 50]
-    if len({len(t) for _, t, _, _ in pairs}) != 1 or bounds.against >= 1.0:
-        return
-    own = np.array([[max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in pairs] for _, _, c, _ in pairs])
-    for b, a in combinations(range(len(pairs)), 2):
-        if min(own[a, b], own[b, a]) > SWAPPED and min(own[a, a], own[b, b]) < FOLLOWED:
-            one, two = pairs[b][0], pairs[a][0]
-            text = (
-                f"joint: {one} follows c{two[1:]} and {two} follows c{one[1:]} (correlations {own[a, b]:.2f} and {own[b, a]:.2f};"
-                f" their own {own[b, b]:.2f} and {own[a, a]:.2f}): are the two columns exchanged? Change them over in the map"
-            )
-            yield USE, text
-
-
 CHECKS = (
     PhysicalCheck("failed read", "a reading leaves the joint's path and returns within 5 rows", "spike", _failed_reads),
     PhysicalCheck("lost pose", "x, y or yaw jumps away and back within 1 s, faster than a fish", "leap", _lost_poses),
     PhysicalCheck("two sources", "distance between alternate rows over that within each source", "alternate", _two_sources),
     PhysicalCheck("joint speed", "a step between two rows is faster than any servo", "rate", _joint_speed),
-    PhysicalCheck("standing still", "the joint moves by less than this share of its command", "still", _standing_still),
+    PhysicalCheck("standing still", "the joint moves by less than this share of its command", "still", standing_still),
     PhysicalCheck("stale reading", "share of moving rows that repeat the last value", "stale", _stale),
-    PhysicalCheck("joint sign", "correlation with the command, negative at every delay to 0.3 s", "against", _joint_sign),
-    PhysicalCheck("joint scale", "movement of a joint over that of its command", "gain", _joint_scale),
-    PhysicalCheck("joint order", "two joints follow each other's commands and not their own", "against", _joint_order),
+    PhysicalCheck("joint sign", "correlation with the command, negative at every delay to 0.3 s", "against", joint_sign),
+    PhysicalCheck("joint scale", "movement of a joint over that of its command", "gain", joint_scale),
+    PhysicalCheck("joint order", "two joints follow each other's commands and not their own", "against", joint_order),
+    PhysicalCheck("joint frame", "correlation with the heading, or with the sum of the commands to here", "against", joint_frame),
     PhysicalCheck("heading", "course over ground against yaw: sense, offset, unit", "course", heading),
     PhysicalCheck("handedness", "correlation of yaw rate with the tail's rate, positive to 0.2 s", "hand", handedness),
     PhysicalCheck("wave", "sine of the lag from joint to joint of a fish that swims ahead, negative", "wave", wave),
@@ -456,23 +377,3 @@ CHECKS = (
 JOINTS = tuple(
     check.name for check in CHECKS if check.find not in (_lost_poses, heading, handedness, wave, velocity, turning)
 )  # need no camera
-
-
-# ----------------------------------------------------------------------------------------------------------------- helpers
-def _pairs(trial: Trial) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """(name, grid, command, joint), less their means, of each joint that has a command, while its torque is on."""
-    cmd, joint = trial.tables.get("cmd", {}), trial.tables.get("joint", {})
-    for name in joints(joint):
-        number = name[1:]
-        if f"c{number}" not in cmd or len(cmd["t"]) < 2 or len(joint["t"]) < 2:
-            continue
-        grid = common_clock(cmd["t"], joint["t"])
-        if f"on{number}" in cmd and len(grid):
-            held = np.searchsorted(cmd["t"], grid, side="right") - 1
-            grid = grid[np.asarray(cmd[f"on{number}"])[held] > 0]
-        grid = grid[is_logged(np.asarray(joint["t"], float), grid)]
-        if len(grid) < 20:
-            continue
-        sent = np.searchsorted(cmd["t"], grid, side="right") - 1
-        c = np.asarray(cmd[f"c{number}"], float)[sent]
-        yield name, grid, c, np.interp(grid, joint["t"], np.asarray(joint[name], float))

@@ -82,6 +82,11 @@ class FileKind:
         return np.concatenate([sheet.columns[column][:ROWS] for sheet in self.sheets[:16]])
 
 
+def context(sheet: Sheet) -> frozenset[str]:
+    """Words in the name of a file or topic."""
+    return frozenset(header.words(re.sub(r"\.[A-Za-z0-9]{1,8}\Z", "", sheet.name)))
+
+
 def without_letter(column: str, columns: Sequence[str]) -> str:
     """Name of a column without the letter that tells alike columns apart: cmdA beside cmdB is no current."""
     stem, last = column[:-1], column[-1:]
@@ -150,20 +155,22 @@ def headings(guesses: list[Guess]) -> list[Guess]:
 
 
 def lost_commands(guesses: list[Guess], found: Sequence[FileKind]) -> list[Guess]:
-    """Asks about left-out columns whose names speak of a command or a servo, in a log without commands: they may be these."""
-    if any(g.place.startswith("cmd.") and not g.said for g in guesses):
+    """Asks about left-out columns whose names, or their file's, speak of a command, in a log without: they may be these."""
+    if any(g.place.startswith("cmd.") and g.state == TAKEN and not g.said for g in guesses):
         return guesses
     out = list(guesses)
     for k, kind in enumerate(found):
         mine = []
+        told = header.ORDERED & context(kind.sheets[0]) and not any(g.kind == k and g.table == "target" for g in guesses)
         for i, g in enumerate(guesses):
             name = header.parse(g.column)
-            speaks = name.has(header.COMMAND | header.SERVO) and not name.has(header.RATE | header.HEADING | header.AXES)
+            speaks = told or name.has(header.COMMAND | header.SERVO)
+            speaks = speaks and not name.has(header.RATE | header.HEADING | header.AXES)
             if g.kind == k and g.state == LEFT and not g.said and speaks and g.why in (header.UNKNOWN, header.NO_COLUMN):
                 mine += [i] * (len(np.unique(kind.values(g.column)[np.isfinite(kind.values(g.column))])) > 1)
         said = sum(g.kind == k and g.said and g.place.startswith("cmd.c") for g in guesses)
         for n, i in enumerate(mine if len(mine) + said > 1 else []):
-            why = "its name speaks of a command, and the log has none; =skip leaves it out"
+            why = f"{'its file' if told else 'its name'} speaks of a command, and the log has none; =skip leaves it out"
             out[i] = out[i].unclear(why, places=(f"cmd.c{said + n + 1}",))
     return out
 

@@ -206,8 +206,13 @@ def angle_unit(values: np.ndarray) -> tuple[str, str]:
     return ("deg", message) if most <= COUNTS else ("", f"{message}: a servo's counts, or degrees from its end? {TICKS}")
 
 
-def mixed_angles(found: Mapping[str, np.ndarray]) -> str:
-    """Reason that the joints of one table cannot share a unit; "" if they can. A joint that hardly moves is ignored."""
+def angles_doubt(found: Mapping[str, np.ndarray], family: str) -> str:
+    """Reason that the joints of one table cannot share a unit, or that commands may be no angles; "" without one.
+
+    A joint that hardly moves is ignored. Commands that end at exactly 1 are rad, or shares, as the actions of a policy.
+    """
+    if family == "cmd.c" and max((float(np.nanmax(np.abs(v), initial=0.0)) for v in found.values()), default=0.0) == 1.0:
+        return f"up to 1 exactly: rad, or shares of full deflection? {TICKS}"
     most = {name: _most(values) for name, values in found.items() if _most(values) >= TINY_ANGLE}
     low, high = min(most, key=most.__getitem__, default=""), max(most, key=most.__getitem__, default="")
     if not most or most[low] > RAD or most[high] <= DEG or not APART[0] <= most[high] / most[low] <= APART[1]:
@@ -289,6 +294,8 @@ def voltage_unit(values: np.ndarray) -> tuple[str, str]:
         return "", f"about {middle:.3g}: V, tenths of V (V*0.1), or counts?"
     if 2 <= middle <= 100:
         return "V", f"about {middle:.3g}"
+    if 2000 <= middle < 4096 and (values == np.round(values)).all():
+        return "", f"about {middle:.5g}: mV, or counts of a converter (V*SCALE)?"
     return ("mV", f"about {middle:.5g}") if 2000 <= middle <= 1e5 else ("", f"about {middle:.3g}: V or mV?")
 
 
@@ -331,7 +338,10 @@ def against(unit: str, what: str, values: Sequence[np.ndarray]) -> tuple[str, Se
     if what in ("voltage", "current"):
         value, span = max(map(usual, values)) * UNITS[unit][1], bounds.span(what)
     elif what == "length" and unit in ("mm", "cm"):
-        value, span = max(map(_extent, values)) * UNITS[unit][1], (0.0, bounds.tank)
+        extent = max(map(_extent, values))
+        if extent * UNITS[unit][1] < LEAST and any(map(moves, values)):
+            return f"the name says {unit}, in which it moves by {extent:.3g} only: m?", ("m", unit)
+        value, span = extent * UNITS[unit][1], (0.0, bounds.tank)
     else:
         return "", ()
     fits = fitting(what, value, unit, span)

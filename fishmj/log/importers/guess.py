@@ -9,7 +9,7 @@ import numpy as np
 
 from fishmj.base.errors import LogError, UnknownName
 from fishmj.log.importers import column_guess, column_units, header, table_forms
-from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess
+from fishmj.log.importers.column_guess import LEFT, TAKEN, UNCLEAR, FileKind, Guess, context
 from fishmj.log.importers.column_map import measured
 from fishmj.log.importers.column_units import PARTS, SI, UNITS, measures
 from fishmj.log.importers.header import Role, role
@@ -21,11 +21,6 @@ from fishmj.log.trial import table_spec
 _NUMBER = re.compile(r"\d+")
 COUNTED = ("rad*SCALE",)  # of a servo's ticks or pulses
 FLAT = 5.0  # times that z moves further than y where y is the height
-
-
-def context(sheet: Sheet) -> frozenset[str]:
-    """Words in the name of a file or topic."""
-    return frozenset(header.words(re.sub(r"\.[A-Za-z0-9]{1,8}\Z", "", sheet.name)))
 
 
 def flavour(sheet: Sheet) -> tuple:
@@ -274,7 +269,7 @@ def _units(kind: FileKind, guesses: list[Guess]) -> list[Guess]:
             if what == "angle" and unit == "rad" and beside:
                 unit, why = "", f"{why}: rad, or deg as other columns of the file?"
             state = UNCLEAR if not unit else g.state
-            fits = ("deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
+            fits = ("rad" if ": rad" in why else "deg", *COUNTED) if why.endswith(column_units.TICKS) else g.fits
             asked = re.split(r"[ ?]", why) if what in ("time", "angle", "acceleration") else []
             rare = [u for u in asked if measures(u.partition("*")[0]) == what and ("*" in u or u in column_units.RARE)]
             if rare:
@@ -322,7 +317,7 @@ def _by_value(kind: FileKind, guesses: list[Guess], g: Guess, what: str) -> tupl
     if what == "acceleration":
         middle = float(np.nanmedian(np.abs(kind.values(g.column))))
         return ("m/s^2", "no unit said") if middle > 0.1 or not middle else ("", "m/s^2 or g?")
-    if what == "angle" and (doubt := column_units.mixed_angles({o.column: kind.values(o.column) for o in mine})):
+    if what == "angle" and (doubt := column_units.angles_doubt({o.column: kind.values(o.column) for o in mine}, family)):
         return "", doubt
     if what == "current" and header.parse(g.column).words == ("current", "battery"):
         return "", "mA, or MAVLink's hundredths of A (A*0.01)?"

@@ -19,6 +19,7 @@ NO_STAMP |= set("offset diff difference remaining zone timezone".split())
 ORIGIN = set("boot bootup start startup power on up reset epoch begin beginning launch init unix the system program".split())
 COMMAND = set("action cmd cmds command commands commanded goal target des desired ref reference set setpoint sp wanted".split())
 COMMAND |= set("soll stell vorgabe consigne comando mandado".split())
+ORDERED = COMMAND - set("action des ref reference set sp wanted".split())  # in the name of a file
 MEASURED = set("meas measured measurement measurements pos position actual act present fb feedback enc encoder real".split())
 MEASURED |= set("state states sensor sensed read ist gemessen mesure medido".split())
 SERVO = set("servo servos motor motors servomotor".split())
