@@ -1,11 +1,15 @@
 """The averaged body and the servo on a bench: their laws, their effects, planted effects found again. All data are synthetic."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 
 from fishmj import effects
-from fishmj.base.calib import read_toml, resolve
+from fishmj.base.calib import calib_folder, constant, read_toml, resolve
 from fishmj.base.errors import ConfigError, UnknownName
+from fishmj.base.store import write_text
 from fishmj.effects.__main__ import enters
 from fishmj.gap.commands import plant
 from fishmj.gap.measured import planar_body as bodies
@@ -277,3 +281,24 @@ def test_no_zero_of_a_joint_that_is_not_there_is_planted():
     assert plant.on_joints(values, ["random"], 3) == values
     with pytest.raises(ConfigError, match="offset3 is of joint 3, the robot has 2; leave it out"):
         plant.on_joints(values, ["joint_zero_offset:offset1=0.05,offset3=0.05"], 2)
+
+
+@pytest.mark.parametrize("generator", ["independent", "morison"])
+def test_planted_values_have_the_size_of_the_robot(tmp_path, generator):
+    """A weak servo with a limit above its own torque would hide nothing; what is drawn is drawn in proportion."""
+    text = re.sub(r"\ntorque = [\d.]+", "\ntorque = 0.52", (calib_folder() / "fish.toml").read_text(encoding="utf-8"))
+    weak = write_text(tmp_path / "weak.toml", text)
+
+    def limit(model, *effect):
+        out = tmp_path / f"{model.stem}{len(effect[0])}"
+        options = ["--logs", "1", "--seed", "3", "--generator", generator, "--model", str(model), "--out", str(out)]
+        assert plant.main([*effect, *options]) == 0
+        truth = json.loads(out.with_name(f"{out.name}.truth.json").read_text(encoding="utf-8"))
+        return truth["effects"]["torque_saturation"]["limit"]
+
+    usual = constant("servo", "torque")
+    drawn = [limit(model, "torque_saturation") for model in (weak, calib_folder() / "fish.toml")]
+    assert drawn[0] == pytest.approx(drawn[1] * 0.52 / usual) and 0.1 < drawn[0] < 0.4
+    assert limit(weak, "torque_saturation=0.3") == 0.3
+    with pytest.raises(ConfigError, match=r"gap plant torque_saturation: limit = 0.85; expected 0.0062\d* to 0.52 N m"):
+        limit(weak, "torque_saturation=0.85")

@@ -22,12 +22,13 @@ from fishmj.base import console
 from fishmj.base.errors import ConfigError
 from fishmj.effects import EffectStack
 from fishmj.effects.randomise import draw
+from fishmj.effects.robot_scales import scaled
 from fishmj.effects.sites import SensorReadings
 from fishmj.engines import own_effects
 from fishmj.gap import progress
 from fishmj.gap.commands import admission, gap_options
 from fishmj.gap.laboratory import generators, random_streams
-from fishmj.gap.laboratory.effect_text import split_text
+from fishmj.gap.laboratory.effect_text import check_range, split_text
 from fishmj.gap.laboratory.session import trial_name
 from fishmj.gap.laboratory.virtual_robot import hidden_dataset, trials
 from fishmj.gap.laboratory.virtual_robot.hidden_dataset import bounds, own_reference, placed, write_hidden
@@ -105,6 +106,8 @@ def main(argv: list[str]) -> int:
     truth = args.truth or args.out.absolute().with_name(f"{args.out.resolve().name}.truth.json")
     out, truth = placed(args.out, truth, names, args.overwrite)
     hidden = on_joints(understood(args), args.effect, joints_of(args, given))
+    if args.generator not in ("log", "lbm"):
+        hidden = on_robot(hidden, args.effect, effects.RobotScales.of(load_robot(args.model)))
     with progress.terminal_bar(len(names), "trials", "trials") as bar:
         make = {"independent": independent, "log": logged, "lbm": solver}.get(args.generator, other_water)
         made, facts = make(hidden, args, bar.update, given)
@@ -150,6 +153,22 @@ def on_joints(hidden: dict, texts: list[str], joints: int) -> dict[str, dict[str
             if (name, p.name) in asked:
                 raise ConfigError(f"gap plant {name}: {p.name} is of joint {p.joint}, the robot has {joints}; leave it out")
         out[name] = {key: value for key, value in values.items() if key not in {p.name for p in gone}}
+    return out
+
+
+def on_robot(hidden: dict, texts: list[str], robot: effects.RobotScales) -> dict[str, dict[str, float]]:
+    """The values to hide in this robot: those drawn for the default fish in proportion to its torque, speed, mass and length.
+
+    Raises ConfigError: a value beyond the bounds of this robot, such as a torque limit above its servo's torque.
+    """
+    given = {part.name for part in map(split_text, texts) if part.main is not None or part.listed is not None}
+    out = {name: dict(values) for name, values in hidden.items()}
+    for name, values in out.items():
+        known = effects.catalogue()[name].parameters if name in effects.catalogue() else ()
+        for p in (p for p in known if p.of and p.name in values):
+            mine, value = p.on_robot(robot), values[p.name]
+            values[p.name] = value = value if name in given else scaled(value, p.of, robot)
+            check_range(f"gap plant {name}", p.name, value, mine.low, mine.high, p.unit)
     return out
 
 
