@@ -211,7 +211,8 @@ def angles_doubt(found: Mapping[str, np.ndarray], family: str) -> str:
 
     A joint that hardly moves is ignored. Commands that end at exactly 1 are rad, or shares, as the actions of a policy.
     """
-    if family == "cmd.c" and max((float(np.nanmax(np.abs(v), initial=0.0)) for v in found.values()), default=0.0) == 1.0:
+    largest = [float(np.max(np.abs(v[np.isfinite(v)]), initial=0.0)) for v in found.values()]
+    if family == "cmd.c" and max(largest, default=0.0) == 1.0:
         return f"up to 1 exactly: rad, or shares of full deflection? {TICKS}"
     most = {name: _most(values) for name, values in found.items() if _most(values) >= TINY_ANGLE}
     low, high = min(most, key=most.__getitem__, default=""), max(most, key=most.__getitem__, default="")
