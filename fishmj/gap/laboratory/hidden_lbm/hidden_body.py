@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.gap.laboratory.virtual_robot.chain import assemble, factor, push_joint, solve
-from fishmj.gap.laboratory.virtual_robot.constants import HullConstants, UncataloguedEffects
+from fishmj.gap.laboratory.virtual_robot.constant_groups import HullConstants, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.loop import H, blow, rub, write
 from fishmj.gap.laboratory.virtual_robot.loop_compiler import entry
 from fishmj.gap.laboratory.virtual_robot.rigid_body import body_of

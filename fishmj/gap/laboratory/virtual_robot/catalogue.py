@@ -1,4 +1,4 @@
-"""Effects that a virtual robot can hide: each parameter is a field of `constants.py`.
+"""Effects that a virtual robot can hide: each parameter is a field of `constant_groups.py`.
 
 `CATALOGUE` holds effects of the catalogue, `ODDITIES` effects outside it, which a search should leave unexplained. A row has
 parameters, affected channels and revealing experiments. Units are SI, nulls 0 unless the row states another. Delays add

@@ -11,7 +11,7 @@ import numpy as np
 
 from fishmj.gap.laboratory import random_streams
 from fishmj.gap.laboratory.instruments import order_of_arrival, read_encoders
-from fishmj.gap.laboratory.virtual_robot.constants import NetworkConstants, UncataloguedEffects
+from fishmj.gap.laboratory.virtual_robot.constant_groups import NetworkConstants, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.simulate import StateRecording
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fishmj.gap.laboratory.virtual_robot.constants import HullConstants
+from fishmj.gap.laboratory.virtual_robot.constant_groups import HullConstants
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.geometry import Geometry, geometry_of
 from fishmj.mjcf.reading import load_robot

@@ -10,7 +10,7 @@ import numpy as np
 from fishmj.base.calib import read_toml, resolve
 from fishmj.base.errors import ConfigError
 from fishmj.base.units import G
-from fishmj.gap.laboratory.virtual_robot import constants
+from fishmj.gap.laboratory.virtual_robot import constant_groups as groups
 from fishmj.gap.laboratory.virtual_robot.rigid_body import RigidBody, alike, body_of
 from fishmj.mjcf.description import Robot, Servo
 
@@ -22,20 +22,20 @@ FIRMWARE_WAIT = 0.5  # firmware periods from arrival to the next tick, on averag
 
 @dataclass(frozen=True, kw_only=True)
 class RobotConstants:
-    """Groups of constants (`constants.py`) and the inputs of the body."""
+    """Groups of constants (`constant_groups.py`) and the inputs of the body."""
 
     robot: Robot
     sections: dict  # table [water] of the constants after the nuisance draw
-    placing: constants.StartScatter
+    placing: groups.StartScatter
     air: np.ndarray  # (4,) thread: stiffness N/m, damping N s/m, twist N m/rad, twist damping N m s/rad
-    hull: constants.HullConstants
-    water: constants.WaterConstants
-    motor: constants.MotorConstants
-    tank: constants.TankConstants
-    network: constants.NetworkConstants
-    camera: constants.CameraConstants
-    meter: constants.MeterConstants
-    odd: constants.UncataloguedEffects
+    hull: groups.HullConstants
+    water: groups.WaterConstants
+    motor: groups.MotorConstants
+    tank: groups.TankConstants
+    network: groups.NetworkConstants
+    camera: groups.CameraConstants
+    meter: groups.MeterConstants
+    odd: groups.UncataloguedEffects
 
     def with_fields(self, values: dict[str, float]) -> "RobotConstants":
         """A copy with dotted fields set: {"motor.deadband": 0.02}."""
@@ -120,7 +120,7 @@ def nominal(
     rho, edge_height = robot.density_water, robot.links[-1].sections[-1][1]
     frontal = max(pi / 4 * h * w for link in robot.links for _, h, w in link.sections)
     head = 0.5 * rho * frontal * wet["head_forward"]
-    water = constants.WaterConstants(
+    water = groups.WaterConstants(
         active=float(medium == "water"),
         friction=wet["friction"],
         head_forward=head,
@@ -134,7 +134,7 @@ def nominal(
     )
     servo, timing, raw = robot.servo, robot.timing, dict(table["motor"])
     resistance, constant = electrical(servo)
-    motor = constants.MotorConstants(
+    motor = groups.MotorConstants(
         gain=drawn(servo.kp, 0.2),
         rate_gain=servo.kv,
         torque=servo.torque,
@@ -149,22 +149,22 @@ def nominal(
         **{**raw, "dry": drawn(raw["dry"]), "viscous": drawn(raw["viscous"])},
     )
     latency = timing.command_latency - FIRMWARE_WAIT * motor.period
-    network = constants.NetworkConstants(period=timing.bus_dt, latency=latency, **table["network"])
+    network = groups.NetworkConstants(period=timing.bus_dt, latency=latency, **table["network"])
     vision = {"latency": timing.camera_latency, "window": float(timing.velocity_window)}
     air = table["air"]
     return RobotConstants(
         robot=robot,
         sections=wet,
-        placing=constants.StartScatter(**table["placing"]),
+        placing=groups.StartScatter(**table["placing"]),
         air=np.array([robot.mass * G / air["thread"], air["damping"], air["twist"], air["twist_damping"]]),
-        hull=constants.HullConstants(),
+        hull=groups.HullConstants(),
         water=water,
         motor=motor,
-        tank=constants.TankConstants(half=1.8),
+        tank=groups.TankConstants(half=1.8),
         network=network,
-        camera=constants.CameraConstants(**vision, **table["camera"]),
-        meter=constants.MeterConstants(**table["meter"]),
-        odd=constants.UncataloguedEffects(),
+        camera=groups.CameraConstants(**vision, **table["camera"]),
+        meter=groups.MeterConstants(**table["meter"]),
+        odd=groups.UncataloguedEffects(),
     )
 
 

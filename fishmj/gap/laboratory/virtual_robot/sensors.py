@@ -8,7 +8,7 @@ velocity    slope of a straight line through the last frames, then an optional l
 
 import numpy as np
 
-from fishmj.gap.laboratory.virtual_robot.constants import CameraConstants, MeterConstants, UncataloguedEffects
+from fishmj.gap.laboratory.virtual_robot.constant_groups import CameraConstants, MeterConstants, UncataloguedEffects
 from fishmj.gap.laboratory.virtual_robot.simulate import StateRecording
 
 

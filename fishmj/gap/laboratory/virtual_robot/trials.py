@@ -71,7 +71,7 @@ def generate(
         nuisance: relative half width of the draw of unmeasured constants.
         medium: "water", or "air": hung on a thread, no camera.
         flow: speed [m/s] and direction [rad] of the set stream.
-        sensors: replaced fields of network, camera and meter (constants.py): {"camera.period": 1 / 30}.
+        sensors: replaced fields of network, camera and meter (constant_groups.py): {"camera.period": 1 / 30}.
         tick: receives the number of finished trials.
     """
     made = plant(effects, seed, nuisance=nuisance, robot=robot, medium=medium, flow=flow).with_fields(dict(sensors))
