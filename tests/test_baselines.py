@@ -223,6 +223,15 @@ def test_warnings_of_candidates_do_not_stand_amid_the_tuning(bowl, tmp_path, cap
     assert said.count("fishmj: a beat is too fast") == 1 and "100 %" in said[-2] and said[-1].endswith("too fast")
 
 
+def test_the_tuner_says_where_it_found_nothing_better(tmp_path, capsys, monkeypatch):
+    """Gains that were kept were written as those of the last search, with its budget for their source."""
+    monkeypatch.setattr(tune_gains, "score", lambda *_: 1.0)
+    words = ["pnl", "--budget", "16", "--water", "structured", "--out", str(tmp_path / "gains.toml")]
+    assert tune_gains.main(words) == console.OK and "1.000 now" in (said := capsys.readouterr().out)
+    assert tune_gains.KEPT in said and "--seed 0; no candidate was better" in (tmp_path / "gains.toml").read_text()
+    assert tune_gains.main(words) == console.OK and "was tuned by this command before" in capsys.readouterr().err
+
+
 def test_the_tuner_writes_gains_that_are_read(bowl, tmp_path, capsys):
     file = tmp_path / "gains.toml"
     assert tune_gains.main(["pnl", "--budget", "16", "--water", "structured", "--out", str(file)]) == console.OK

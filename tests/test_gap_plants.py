@@ -284,7 +284,7 @@ def test_no_zero_of_a_joint_that_is_not_there_is_planted():
 
 
 @pytest.mark.parametrize("generator", ["independent", "morison"])
-def test_planted_values_have_the_size_of_the_robot(tmp_path, generator):
+def test_planted_values_have_the_size_of_the_robot(tmp_path, capsys, generator):
     """A weak servo with a limit above its own torque would hide nothing; what is drawn is drawn in proportion."""
     text = re.sub(r"\ntorque = [\d.]+", "\ntorque = 0.52", (calib_folder() / "fish.toml").read_text(encoding="utf-8"))
     weak = write_text(tmp_path / "weak.toml", text)
@@ -296,6 +296,9 @@ def test_planted_values_have_the_size_of_the_robot(tmp_path, generator):
         truth = json.loads(out.with_name(f"{out.name}.truth.json").read_text(encoding="utf-8"))
         return truth["effects"]["torque_saturation"]["limit"]
 
+    assert plant.main(["--list", "--model", str(weak)]) == 0
+    row = next(line for line in capsys.readouterr().out.splitlines() if "torque_saturation" in line)
+    assert [float(cell) for cell in row.split("|")[4:7]] == pytest.approx([0.52, 0.3119, 0.1248], rel=1e-3)
     usual = constant("servo", "torque")
     drawn = [limit(model, "torque_saturation") for model in (weak, calib_folder() / "fish.toml")]
     assert drawn[0] == pytest.approx(drawn[1] * 0.52 / usual) and 0.1 < drawn[0] < 0.4

@@ -46,7 +46,7 @@ def test_default_water_without_a_fit_is_said_once_in_python(capsys):
         lambda robot: suite.load("fish", "station_hold", task_kwargs={"robot": robot}),
     )
     for i, make in enumerate(makes):
-        robot = replace(FISH, name=f"unfitted-{i}")
+        robot = replace(FISH, name=f"unfitted-{i}", density_water=1025.0)
         make(robot)
         make(robot)
         said = f"fishmj: robot {robot.name!r}, water: structured, own coefficients; none is fitted for this body"
@@ -63,6 +63,19 @@ def test_a_fitted_water_belongs_to_the_body_not_to_its_servos():
         chosen(longer(FISH), "swift")
     with pytest.raises(ConfigError, match=r"dt = 0.004 s, the robot steps 0.002 s"):
         chosen(replace(FISH, timing=replace(FISH.timing, physics_dt=0.002)), "fitted")
+
+
+def test_a_body_under_another_name_has_its_waters_too():
+    """A copy of the fish with a name of its own was told that nothing was fitted for its body, and swam in another water."""
+    renamed = replace(FISH, name="carp")
+    for water in (None, "fitted", "family"):
+        assert chosen(renamed, water).said == chosen(FISH, water).said
+        assert label(chosen(renamed, water).robot) == label(chosen(FISH, water).robot)
+    weak = chosen(replace(renamed, servo=replace(FISH.servo, torque=0.8)))
+    assert weak.kind == "fitted" and "other servos, masses or timing" in weak.said
+    assert chosen(longer(renamed)).kind == "structured"
+    with pytest.raises(ConfigError, match="no family comes with fishmj for robot 'carp'"):
+        chosen(longer(renamed), "family")
 
 
 def test_default_water_refuses_another_time_step_and_a_damaged_file(tmp_path, monkeypatch):
@@ -109,7 +122,7 @@ def test_what_cannot_be_is_one_clear_error():
     with pytest.raises(UnknownName, match="Known: fitted, hybrid, lbm, none, structured, swift"):
         chosen(FISH, "swfit")
     with pytest.raises(ConfigError, match="none is fitted for robot 'other'; take structured, or fit one"):
-        chosen(replace(FISH, name="other"), "fitted")
+        chosen(replace(longer(FISH), name="other"), "fitted")
     for kind, where in (("hybrid", "evaluate"), ("lbm", "suite.load")):
         with pytest.raises(ConfigError, match=f"water '{kind}': the engine supports fitted, structured, none.*{where}"):
             in_water(FISH, kind, who="the engine")

@@ -32,6 +32,7 @@ from fishmj.water.water_identity import water_identity
 WEIGHTS = {"rmse_after_arrival": 1.0, "rmse_last20": 1.0, "rmse_total": 0.2, "arrival": -0.2, "power": 0.01}
 GENERATION, SPREAD, REACH = 16, 0.35, 6.0  # candidates; first standard deviation of a logarithm; largest factor on a gain
 LOST = 10.0  # score of gains that fail
+KEPT = "; no candidate was better, the gains before are kept"  # added to the source of such gains
 HELD_OUT = 999_983  # added to the command's seed for the held-out trials
 EXAMPLES = """examples:
   fishmj tune dob --water family --out gains.toml          then: fishmj evaluate gains.toml:dob dob --water family
@@ -157,7 +158,7 @@ def options() -> console.Parser:
     """Parser of the verb `tune`."""
     parser = console.parser("tune", __doc__ or "", examples=EXAMPLES)
     add = parser.add_argument
-    names = f"{', '.join(tuned_names())}; all: every one"
+    names = f"{', '.join(tuned_names())}; all: every one; for a controller of your own, see docs/train/evaluation.md"
     add("controllers", nargs="+", action=console.Distinct, choices=(*tuned_names(), "all"), metavar="CONTROLLER", help=names)
     add("--robot", type=console.text, default="fish", help="shipped name or TOML file")
     add("--water", type=console.text, help=choice.HELP)
@@ -166,7 +167,7 @@ def options() -> console.Parser:
         type=console.whole(GENERATION, 10**6),
         default=240,
         metavar="N",
-        help="number of candidates for each controller",
+        help=f"number of candidates for each controller, at least {GENERATION}",
     )
     add("--seed", type=console.SEED, default=0, help="seed of the search and its trials")
     out = "file of gains; the search starts from its gains, and replaces the sections of these controllers"
@@ -190,7 +191,7 @@ def main(argv: list[str]) -> int:
     rows: list[Tuning] = []
     for name in names:
         sources = [entry.get("source") for entry in there.get(name, {}).values() if isinstance(entry, dict)]
-        if source.format(name) in sources:
+        if {source.format(name), source.format(name) + KEPT}.intersection(sources):
             console.warn(f"{name}: was tuned by this command before, see {args.out}; take another --seed to continue from there")
             continue
         kept = args.out.with_suffix(f".{name}.json")
@@ -200,11 +201,13 @@ def main(argv: list[str]) -> int:
             words = lambda kept=kept: f"{kept} holds the finished generations; {interrupt.again()}"
             with interrupt.keeping(words):
                 found = tune(search, robot, args.budget, args.seed, kept, bar)
-        text = with_gains(text, name, found.gains, source.format(name))
+        better = found.score < found.first_score
+        text = with_gains(text, name, found.gains, source.format(name) + KEPT * (not better))
         store.write_text(args.out, text)
         kept.unlink(missing_ok=True)
         rows.append(found)
-        console.say(f"{name}: score {found.first_score:.3f} before, {found.score:.3f} now, on 144 tuning trials of no candidate")
+        scores = f"score {found.first_score:.3f} before, {found.score:.3f} now"
+        console.say(f"{name}: {scores}, on 144 tuning trials of no candidate{KEPT * (not better)}")
     same = ["--robot", args.robot, *(["--water", args.water] if args.water else [])]
     console.say(f"judge it with: {shlex.join(['fishmj', 'evaluate', f'{args.out}:{names[0]}', *same])}")
     if rows and args.out.resolve().parent == calib_folder().resolve():

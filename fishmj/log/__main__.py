@@ -21,7 +21,9 @@ from fishmj.log.trial_folder import META_FILE, OF_ARM, faults, read_trial
 def check(argv: list[str]) -> int:
     """The command `log check`. Exit 0: everything reads; 1: some trials or files are faulty (one line each)."""
     parser = console.parser(
-        "log check", "Read a data set or a trial, audit its clocks, run the physical checks; one line a problem, and exit 1."
+        "log check",
+        "Read a data set or a trial, audit its clocks, run the physical checks; one line a problem, and exit 1. Doubts, which"
+        " refuse no command, are printed and pass.",
     )
     parser.add_argument("data", type=console.path, help="data set, trial folder or samples.csv")
     args = parser.parse_args(argv)
@@ -41,7 +43,7 @@ def check(argv: list[str]) -> int:
                 console.warn(f"{bare(name)}: {problem}")
             continue
         breaches = physical_checks.examine(trial)
-        notes = [f"  ! {f.text}" for f in breaches if f.level == physical_checks.NOTE]
+        notes = [f"  doubt: {f.text}" for f in breaches if f.level == physical_checks.NOTE]
         console.say(audits[-1].text(), *ending(trial), *notes, *(f"  note: {note}" for note in trial.notes), "")
         if wrong := [f.text for f in breaches if f.level != physical_checks.NOTE]:
             impossible[name] = wrong

@@ -27,7 +27,7 @@ WEAK = 0.3  # over `gain`: a weak servo still moves its joint by so much of a co
 STRETCH, STRIDE = 2.0, 0.5  # s of a stretch in which a joint is looked at, and between two of them
 FOLLOWED, SWAPPED = 0.9, 0.97  # correlation below which no command is followed; from which that of another joint is
 LOYAL, NEARLY = 0.98, (0.67, 1.33)  # correlation from which a joint is noted, and times its command that it moves by
-ALIKE, OPEN = 1.05, 10.0  # largest over least of these times of joints that share a scale; bound that leaves the note out
+OPEN = 10.0  # bound that leaves the note out
 TURNED = 1.0  # rad that a heading must turn through before links' angles against the tank are told
 
 
@@ -80,8 +80,8 @@ def joint_sign(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
 def joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     """Findings on joints that follow their commands by a multiple, or a small part.
 
-    Noted, too: all joints by the same part, as of commands that are shares, and one by more, as of an angle against the head. A
-    weak servo follows slow and unloaded swings better than others, so that its joints differ.
+    Noted, too: all joints by less, as of commands that are shares, and one by more, as of an angle against the head. Of weak
+    servos one or two, those under load, follow by so little.
     """
     followed: list[tuple[str, float, float]] = []
     for name, t, c, j in pairs(trial):
@@ -98,7 +98,7 @@ def joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
         else:
             followed.append((name, times, best))
     shared = [times for _, times, _ in followed]
-    few = len(shared) > 0 and max(shared) < min(NEARLY[0], ALIKE * min(shared))
+    few = max(shared, default=1.0) < NEARLY[0]
     for name, times, best in followed if bounds.gain < OPEN else ():
         if best > LOYAL and (few or times > NEARLY[1]):
             why = "is the command a share of full deflection" if few else "is the angle one against the head, not the link before"

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from fishmj.water.water_family import WaterFamily
 
 FITTED, STRUCTURED, HYBRID, LBM, NONE = KINDS = ("fitted", "structured", "hybrid", "lbm", "none")
-FAMILY = "family"  # the family with the robot's name
+FAMILY = "family"  # the family of the robot's body
 FAMILY_SCHEMA = "fishmj.water-family/1"
 OWN = "own"  # key in `robot.water` of the description's own table
 DRY = ("k", "cn", "cf", "ca_forward", "ca_backward", "ke")  # coefficients, zero in air
@@ -96,7 +96,7 @@ def chosen(robot: Robot, water: "str | Path | None" = None) -> WaterChoice:
     name, described = None if water is None else str(water), robot.water.get(OWN, robot.water)
     stated = robot.water.get("model")
     if name == FAMILY:
-        name = f"{robot.name}{calib.FAMILY}"
+        name = f"{_body_name(robot)}{calib.FAMILY}"
         if name not in calib.families():
             own = "write one of your own fits and give its file, --water FILE.toml (docs/train/training.md, In a random water)"
             ways = f"{own}, or draw the water's effects with train {RANDOM_WATER}"
@@ -152,7 +152,7 @@ def model_of(robot: Robot) -> "HydroModel | None":
 
 
 def _resolved_name(robot: Robot, name: str) -> str:
-    """Name of the water for `fitted`: the description's, else the one with the robot's name. Returns other names unchanged.
+    """Name of the water for `fitted`: the description's, else the one of the robot's body. Returns other names unchanged.
 
     Raises ConfigError: this robot has no fitted water.
     """
@@ -162,9 +162,16 @@ def _resolved_name(robot: Robot, name: str) -> str:
     states = robot.water.get(OWN, robot.water).get("model")
     if states not in (None, *KINDS):
         return _joined(split_member(states)[0], member or split_member(states)[1])
-    if robot.name not in calib.waters():
+    if (own := _body_name(robot)) not in calib.waters():
         raise ConfigError(f"water 'fitted': none is fitted for robot {robot.name!r}; take structured, or fit one: {FIT_IT}")
-    return _joined(robot.name, member)
+    return _joined(own, member)
+
+
+def _body_name(robot: Robot) -> str:
+    """Name of the waters of this body: the robot's, or that of the shipped robot with this body."""
+    waters = calib.waters()
+    alike = lambda name: name in waters and fitted_water(name).fits_body(robot)
+    return robot.name if robot.name in waters else next(filter(alike, calib.robots().values()), robot.name)
 
 
 def label(robot: Robot) -> str:
@@ -177,16 +184,16 @@ def fitted_for(robot: Robot) -> str | None:
 
     Raises StoreError, ConfigError: it is damaged, or was fitted at another time step.
     """
-    if robot.name not in calib.waters():
-        return None
     try:
-        model = fitted_water(robot.name)
+        if (name := _body_name(robot)) not in calib.waters():
+            return None
+        model = fitted_water(name)
     except FishmjError as error:
         raise StoreError(f"{error}; without it: --water structured") from error
     if not model.fits_body(robot):
         return None
     model.swimmer(robot)
-    return robot.name
+    return name
 
 
 def _fitted(robot: Robot, name: str) -> WaterChoice:

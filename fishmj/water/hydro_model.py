@@ -215,7 +215,8 @@ class HydroModel:
 
     def remark(self, robot: Robot) -> str:
         """Caveat for this robot in this water; empty for the robot of the fit."""
-        other = "" if robot_hash(robot) == self.robot_sha256 else "; fitted to this body with other servos, masses or timing"
+        same = robot_hash(replace(robot, name=self.robot)) == self.robot_sha256
+        other = "" if same else "; fitted to this body with other servos, masses or timing"
         return f"; a preview, not fitted to a whole plan{other}" if self.preview else other
 
     def save(self, folder: "str | Path") -> Path:

@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
     add = parser.add_argument
     one = "SI; NAME:p=1,q=2 sets several parameters; random and random_odd draw one; none"
     add("effect", nargs="*", metavar="EFFECT[=value]", help=one)
-    add("--list", action="store_true", help="list the second robot's effects and all experiments, and stop")
+    add("--list", action="store_true", help="list the effects of a --model and all experiments, and stop")
     add("--out", type=console.out_folder, metavar="DATA", help="data set folder, new or empty; needed unless --list")
     add("--generator", default="independent", choices=GENERATORS, help=f"{', '.join(GENERATORS)} (default independent)")
     add("--from", dest="source", type=console.path, metavar="DATA", help="data set that --generator log works on (default none)")
@@ -82,7 +82,7 @@ def main(argv: list[str]) -> int:
     add("--overwrite", action="store_true", help="replace a data set of the same trials")
     args = parser.parse_args(argv)
     if args.list:
-        return listed(args.json)
+        return listed(args.json, effects.RobotScales.of(load_robot(args.model)))
     if args.out is None or not args.effect:
         raise ConfigError("gap plant: name what to hide (EFFECT, or none) and the data set, --out DATA; --list lists the effects")
     gap_options.there(args.source)
@@ -185,14 +185,16 @@ def independent(hidden: dict, args, tick, _) -> tuple[list[Trial], dict]:
     return [with_lost_rows(trial, args.drop, rng) for trial in whole], facts | {"drop": args.drop, "sensors": rates(args)}
 
 
-def listed(json: bool) -> int:
-    """Prints the second robot's effects with their parameters, and the experiments. Returns the exit code."""
+def listed(json: bool, robot: effects.RobotScales) -> int:
+    """Prints the effects that the second robot of this size can hide, and the experiments. Returns the exit code."""
     rows: list[dict] = []
     for e in trials.EFFECTS.values():
         shown = {"stage": e.stage, "seen in": ", ".join(e.shows), "shown by": ", ".join(e.runs)}
+        sized = {p.name: p.of for p in effects.catalogue()[e.name].parameters} if e.name in effects.catalogue() else {}
         for p in e.parameters:
-            row = {"effect": e.name, "parameter": p.name, "unit": p.unit}
-            rows.append({**row, "null": p.null, "from": p.typical[0], "to": p.typical[1], **shown})
+            of = sized.get(p.name, "")
+            null, low, high = (scaled(x, of, robot) if of else x for x in (p.null, *p.typical))
+            rows.append({"effect": e.name, "parameter": p.name, "unit": p.unit, "null": null, "from": low, "to": high, **shown})
     known = map(excitation.get, excitation.names())
     runs = [{"excitation": run.id, "seconds": round(run.seconds, 1), "about": run.about} for run in known]
     if json:
