@@ -151,6 +151,7 @@ def test_a_written_map_names_every_column_of_the_files(tmp_path, bring):
     assert bring(tmp_path / "log.csv", *said, out=None)[0] == 0
     text = (tmp_path / "MAP.toml").read_text()
     assert all(name in text for name in columns) and "# left out: log.csv: fx (a force or torque" in text
+    assert 'in [tables.power]: columns.V = {column = "akku", unit = "V"}' in text
     assert "# unclear: log.csv: akku may be power.V:V" in text and read_map(tmp_path / "MAP.toml").skip == ["gripper"]
     assert bring(tmp_path / "log.csv", "--columns", tmp_path / "MAP.toml")[0] == 0
     assert any("not read: humidity, fx, akku" in note for note in only(tmp_path / "set").meta["notes"])
