@@ -1,13 +1,9 @@
 """Physical checks of joints against their commands."""
 
 import numpy as np
-from turning_fish import changed, turning
+from turning_fish import changed, names, turning
 
-from fishmj.log import Trial, physical_checks
-
-
-def names(trial: Trial) -> dict[str, str]:
-    return {finding.check: finding.text for finding in physical_checks.examine(trial)}
+from fishmj.log import physical_checks
 
 
 def test_exchanged_joints_follow_the_command_of_the_other():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from turning_fish import changed, turning
+from turning_fish import changed, names, turning
 
 from fishmj.base import console
 from fishmj.base.calib import calib_folder
@@ -26,10 +26,6 @@ COUNT = np.radians(0.24)
 
 def shipped(name: str) -> Trial:
     return read_trial(calib_folder() / "trials" / name)
-
-
-def names(trial: Trial) -> dict[str, str]:
-    return {finding.check: finding.text for finding in physical_checks.examine(trial)}
 
 
 def frozen(values):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fishmj.log import Trial, numbered
+from fishmj.log import Trial, numbered, physical_checks
 
 
 def changed(trial: Trial, table: str, **columns) -> Trial:
@@ -26,3 +26,8 @@ def turning(seconds: float = 12.0, rate: float = 0.15) -> Trial:
         "pose": {"t": t, "x": x, "y": y, "yaw": yaw},
     }
     return Trial({"origin": "synthetic", "robot": "swift"}, tables, name="turning")
+
+
+def names(trial: Trial) -> dict[str, str]:
+    """Text of each finding of the physical checks, by its check."""
+    return {finding.check: finding.text for finding in physical_checks.examine(trial)}

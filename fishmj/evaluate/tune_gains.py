@@ -201,13 +201,13 @@ def main(argv: list[str]) -> int:
             words = lambda kept=kept: f"{kept} holds the finished generations; {interrupt.again()}"
             with interrupt.keeping(words):
                 found = tune(search, robot, args.budget, args.seed, kept, bar)
-        better = found.score < found.first_score
-        text = with_gains(text, name, found.gains, source.format(name) + KEPT * (not better))
+        remark = "" if found.score < found.first_score else KEPT
+        text = with_gains(text, name, found.gains, source.format(name) + remark)
         store.write_text(args.out, text)
         kept.unlink(missing_ok=True)
         rows.append(found)
         scores = f"score {found.first_score:.3f} before, {found.score:.3f} now"
-        console.say(f"{name}: {scores}, on 144 tuning trials of no candidate{KEPT * (not better)}")
+        console.say(f"{name}: {scores}, on 144 tuning trials of no candidate{remark}")
     same = ["--robot", args.robot, *(["--water", args.water] if args.water else [])]
     console.say(f"judge it with: {shlex.join(['fishmj', 'evaluate', f'{args.out}:{names[0]}', *same])}")
     if rows and args.out.resolve().parent == calib_folder().resolve():

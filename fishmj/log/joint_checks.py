@@ -87,7 +87,7 @@ def joint_scale(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     for name, t, c, j in pairs(trial):
         if np.ptp(c) < 2 * DRIVEN or t[-1] - t[0] < 1.0:
             continue
-        times, best = float(np.std(j) / np.std(c)), max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS)
+        times, best = float(np.std(j) / np.std(c)), following(c, j)
         least = WEAK / bounds.gain
         if not least <= times <= bounds.gain and times > bounds.still and best > FOLLOWED:
             text = (
@@ -110,7 +110,7 @@ def joint_order(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     found = [pair for pair in pairs(trial) if np.ptp(pair[2]) > 2 * DRIVEN and len(pair[1]) > 50]
     if len({len(t) for _, t, _, _ in found}) != 1 or bounds.against >= 1.0:
         return
-    own = np.array([[max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS) for _, _, _, j in found] for _, _, c, _ in found])
+    own = np.array([[following(c, j) for _, _, _, j in found] for _, _, c, _ in found])
     for b, a in combinations(range(len(found)), 2):
         if min(own[a, b], own[b, a]) > SWAPPED and min(own[a, a], own[b, b]) < FOLLOWED:
             one, two = found[b][0], found[a][0]
@@ -145,14 +145,18 @@ def joint_frame(trial: Trial, bounds: Plausible) -> Iterator[tuple[str, str]]:
     found = list(pairs(trial))
     if len({len(t) for _, t, _, _ in found}) == 1 and len(found) > 1 and [name for name, *_ in found] == joints(table):
         sums = np.cumsum([c for _, _, c, _ in found], axis=0)
-        best = lambda c, j: max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS)
-        summed = [best(c, j) > SWAPPED and best(own, j) < FOLLOWED for (_, _, own, j), c in zip(found[1:], sums[1:], strict=True)]
-        if all(summed):
+        others = zip(found[1:], sums[1:], strict=True)
+        if all(following(c, j) > SWAPPED and following(own, j) < FOLLOWED for (_, _, own, j), c in others):
             yield (
                 IMPORT,
                 f"joint: {', '.join(name for name, *_ in found[1:])} follow the sums of the commands up to theirs, not their own:"
                 " angles of links against the head? Expected: against the link before. Write the differences",
             )
+
+
+def following(c: np.ndarray, j: np.ndarray) -> float:
+    """Largest correlation of a joint with a command at a plausible delay."""
+    return max(correlation(*delayed(c, j, lag)) for lag in FOLLOWS)
 
 
 def _turns(angle: np.ndarray, yaw: np.ndarray) -> bool:

@@ -147,8 +147,7 @@ def on_joints(hidden: dict, texts: list[str], joints: int) -> dict[str, dict[str
     """The values to hide, without those of joints that the robot does not have. Raises ConfigError if such a one is asked for."""
     asked, out = {(part.name, key) for part in map(split_text, texts) for key, _ in part.listed or ()}, {}
     for name, values in hidden.items():
-        own = effects.catalogue().get(name)
-        gone = [p for p in own.parameters if p.joint > joints] if own else []
+        gone = [p for p in of_catalogue(name).values() if p.joint > joints]
         for p in gone:
             if (name, p.name) in asked:
                 raise ConfigError(f"gap plant {name}: {p.name} is of joint {p.joint}, the robot has {joints}; leave it out")
@@ -164,8 +163,7 @@ def on_robot(hidden: dict, texts: list[str], robot: effects.RobotScales) -> dict
     given = {part.name for part in map(split_text, texts) if part.main is not None or part.listed is not None}
     out = {name: dict(values) for name, values in hidden.items()}
     for name, values in out.items():
-        known = effects.catalogue()[name].parameters if name in effects.catalogue() else ()
-        for p in (p for p in known if p.of and p.name in values):
+        for p in (p for p in of_catalogue(name).values() if p.of and p.name in values):
             mine, value = p.on_robot(robot), values[p.name]
             values[p.name] = value = value if name in given else scaled(value, p.of, robot)
             check_range(f"gap plant {name}", p.name, value, mine.low, mine.high, p.unit)
@@ -190,9 +188,9 @@ def listed(json: bool, robot: effects.RobotScales) -> int:
     rows: list[dict] = []
     for e in trials.EFFECTS.values():
         shown = {"stage": e.stage, "seen in": ", ".join(e.shows), "shown by": ", ".join(e.runs)}
-        sized = {p.name: p.of for p in effects.catalogue()[e.name].parameters} if e.name in effects.catalogue() else {}
         for p in e.parameters:
-            of = sized.get(p.name, "")
+            searched = of_catalogue(e.name).get(p.name)
+            of = searched.of if searched else ""
             null, low, high = (scaled(x, of, robot) if of else x for x in (p.null, *p.typical))
             rows.append({"effect": e.name, "parameter": p.name, "unit": p.unit, "null": null, "from": low, "to": high, **shown})
     known = map(excitation.get, excitation.names())
@@ -213,10 +211,15 @@ def rates(args) -> dict[str, float]:
 def limits(name: str, parameter) -> tuple[float, float]:
     """Range of a planted parameter: within the catalogue's bounds for a search, and the second robot's own rule."""
     low, high = bounds(name, parameter)
-    listed = {p.name: p for p in effects.catalogue()[name].parameters} if name in effects.catalogue() else {}
-    if parameter.name in listed:
-        low, high = max(parameter.least, listed[parameter.name].low), min(parameter.most, listed[parameter.name].high)
+    if searched := of_catalogue(name).get(parameter.name):
+        low, high = max(parameter.least, searched.low), min(parameter.most, searched.high)
     return low, high
+
+
+def of_catalogue(name: str) -> dict[str, effects.Parameter]:
+    """Parameters of the search's effect of this name; {} without one."""
+    own = effects.catalogue().get(name)
+    return {p.name: p for p in own.parameters} if own else {}
 
 
 def logged(hidden: dict, args, tick, given: Taken | None) -> tuple[list[Trial], dict]:

@@ -86,10 +86,11 @@ def remarks(found: Sequence[FileKind], guesses: Iterable[Guess]) -> Iterator[str
     for g in guesses:
         name = f"{bare(found[g.kind].sheets[0].name)}: {bare(g.column)}"
         if g.state == UNCLEAR:
-            yield f"# unclear: {name} may be {choices(g)} ({g.why})\n"
-            if g.table != "t" and choices(g) != "skip":
+            may = choices(g)
+            yield f"# unclear: {name} may be {may} ({g.why})\n"
+            if g.table != "t" and may != "skip":
                 column = g.place.partition(".")[2]
-                yield f"#          in [tables.{g.table}]: columns.{column} = {toml.inline(_open_source(g))}\n"
+                yield f"#          in [tables.{g.table}]: columns.{column} = {_open_source(g, may)}\n"
         elif g.state == LEFT and not g.said:
             yield f"# left out: {name} ({g.why})\n"
 
@@ -117,14 +118,13 @@ def to_complete(found: Sequence[FileKind], guesses: Sequence[Guess]) -> Iterator
 def _to_complete(key: str, g: Guess) -> str:
     """A column as a commented line of a map."""
     may = choices(g) if g.state == UNCLEAR else ""
-    return f"# {key} = {toml.inline(_open_source(g))}    # {bare(f'{may} ({g.why})' if may else g.why, 300)}\n"
+    return f"# {key} = {_open_source(g, may)}    # {bare(f'{may} ({g.why})' if may else g.why, 300)}\n"
 
 
-def _open_source(g: Guess) -> dict:
-    """A column in the notation of the map, with a ? for what is to be said."""
-    may = choices(g) if g.state == UNCLEAR else ""
+def _open_source(g: Guess, may: str) -> str:
+    """A column in the notation of the map, with a ? for what is to be said. may: its `choices`, "" for one that is clear."""
     several = g.state == LEFT or len(may.split(" or ")) > len(g.places) > 0
-    return _source(g) | ({"unit": "?"} if several else {}) | ({"scale": "?"} if "*" in may else {})
+    return toml.inline(_source(g) | ({"unit": "?"} if several else {}) | ({"scale": "?"} if "*" in may else {}))
 
 
 def show(found: Guesses) -> None:
