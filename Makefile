@@ -4,7 +4,7 @@
 # make verify-share SHARE=2/15   the second of fifteen parts of it: as much as .ci/run has time for
 # make docs         the site of docs/, into build/docs; a broken link fails
 # make bench        one JSON line a benchmark
-# make lint         style and types only
+# make lint         style, types and the budget (.ci/budget.toml) only
 # make release      dist/: wheel, sdist and their sha256, built, compared and used; uploads nothing
 # make manifest     state the sha256 of data/calib after a change there
 # VENV=path         another environment than .venv
@@ -51,6 +51,7 @@ lint: $(INSTALLED)
 	@$(STEP) "style" $(PY) -m ruff check .
 	@$(STEP) "format" $(PY) -m ruff format --check .
 	@$(STEP) "types" $(PY) -m mypy
+	@$(STEP) "budget" $(PY) .ci/shape.py --check
 
 test: lint
 	@$(STEP) "tests" $(PY) -m pytest -q $(WORKERS)
