@@ -28,9 +28,9 @@ unexport PYTHONDONTWRITEBYTECODE
 
 install: $(INSTALLED)
 
-$(INSTALLED): pyproject.toml
+$(INSTALLED): pyproject.toml studies/pyproject.toml
 	@$(STEP) "environment" .ci/environment $(VENV)
-	@$(STEP) "install" $(PY) -m pip install --quiet --no-compile --editable ".[dev]"
+	@$(STEP) "install" $(PY) -m pip install --quiet --no-compile --editable ".[dev]" --editable studies
 	@touch $@
 
 $(EXTRAS): $(INSTALLED)

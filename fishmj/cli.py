@@ -1,12 +1,15 @@
 """`fishmj <verb> ...`: the same `main(argv)` that `python -m fishmj <verb>` calls.
 
 `VERBS` names the module of each verb. Its summary is the first line of that module's docstring, read without importing it.
+Installed packages add verbs by entry points in the group `fishmj.verbs` with the value `module:main`.
 """
 
 import ast
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 
 from fishmj import __version__
@@ -37,19 +40,25 @@ SECTIONS = {
         "lbm_oracle": "lbm_oracle.__main__",
         "campaign": "hydro_fit.campaign.__main__",
     },
-    "speed": {"bench": "evaluate.bench.__main__"},
 }
-VERBS = {verb: module for part in SECTIONS.values() for verb, module in part.items()}
-_HERE = Path(__file__).resolve().parent
+VERBS = {verb: f"fishmj.{module}" for part in SECTIONS.values() for verb, module in part.items()}
+
+
+def added() -> dict[str, str]:
+    """Verb -> module, of verbs that installed packages add; those that only add commands to a verb of fishmj are left out."""
+    return {point.name: point.module for point in entry_points(group=console.VERBS) if point.name not in VERBS}
 
 
 def present() -> dict[str, str]:
     """One line for each verb."""
-    return {verb: _summary(_HERE / f"{module.replace('.', '/')}.py") for verb, module in VERBS.items()}
+    return {verb: _summary(module) for verb, module in (VERBS | added()).items()}
 
 
-def _summary(path: Path) -> str:
-    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+def _summary(module: str) -> str:
+    package, _, inside = module.partition(".")
+    spec = find_spec(package)
+    path = Path(spec.origin if spec and spec.origin else "").parent / f"{inside.replace('.', '/')}.py"
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "" if path.is_file() else ""
     first = text.strip().partition("\n")[0]
     said = first.partition(": ")[2] if first.startswith("`") else first
     return said[:1].upper() + said[1:]
@@ -57,9 +66,11 @@ def _summary(path: Path) -> str:
 
 def load(verb: str) -> console.Main:
     """Imports the verb's module and returns its `main`. Raises UnknownName: there is no such verb."""
-    if verb not in VERBS:
-        raise UnknownName("verb", verb if len(verb) <= console.SHOWN else verb[: console.SHOWN] + "...", VERBS)
-    return import_module(f"fishmj.{VERBS[verb]}").main
+    module = VERBS.get(verb) or added().get(verb)
+    if module is None:
+        short = verb if len(verb) <= console.SHOWN else verb[: console.SHOWN] + "..."
+        raise UnknownName("verb", short, VERBS | added(), more=console.more_verbs())
+    return import_module(module).main
 
 
 def usage() -> str:
@@ -67,8 +78,8 @@ def usage() -> str:
     verbs = present()
     wide = max(map(len, verbs))
     lines = ["usage: fishmj VERB [options]     fishmj VERB --help"]
-    for title, part in SECTIONS.items():
-        lines += ["", title, *(f"  {verb:<{wide}}  {verbs[verb]}" for verb in part)]
+    for title, part in {**SECTIONS, "added by installed packages": added()}.items():
+        lines += ["", title, *(f"  {verb:<{wide}}  {verbs[verb]}" for verb in part)] if part else []
     return "\n".join(
         [
             *lines,

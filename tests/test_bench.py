@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+import studies.benchmarks as bench
 from fishmj.base import console
-from fishmj.evaluate import bench
-from fishmj.evaluate.bench import Benchmark, BenchmarkWork, NotHere, measure
-from fishmj.evaluate.bench import __main__ as command
+from studies.benchmarks import Benchmark, BenchmarkWork, NotHere, measure
+from studies.benchmarks import __main__ as command
 
 
 class Clock:
@@ -85,7 +85,7 @@ def test_every_benchmark_runs_quickly_or_says_why_not(name, capsys):
 @pytest.mark.slow
 def test_ways_of_the_learnt_force_are_timed_and_compared(monkeypatch, capsys):
     """On a CPU there is one way, whose single precision is 0.1 mm off after a second at most; an unknown one fails alone."""
-    from fishmj.evaluate.bench import surrogate_speed
+    from studies.benchmarks import surrogate_speed
     from studies.fitted_water import residual_ways as residual
 
     for name, value in (

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def test_the_console_script_and_the_module_are_the_same_program():
         [sys.executable, "-m", "fishmj", "bench", "--list", "--json"], capture_output=True, text=True, check=True
     )
     same = subprocess.run(
-        [sys.executable, "-m", "fishmj.evaluate.bench", "--list", "--json"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "studies.benchmarks", "--list", "--json"], capture_output=True, text=True, check=True
     )
     assert done.stdout == same.stdout and json_last(done.stdout)["benchmarks"]
 
@@ -104,9 +105,9 @@ def test_a_reader_that_leaves_early_is_no_error():
 
 
 def test_json_is_strict_whatever_is_in_it(capsys):
-    value = {"a": np.float32(1.5), "b": np.array([1.0, np.nan, np.inf]), 3: (np.int64(2), True, None), "p": cli._HERE}
+    value = {"a": np.float32(1.5), "b": np.array([1.0, np.nan, np.inf]), 3: (np.int64(2), True, None), "p": Path("a")}
     console.emit_json(value)
-    assert json_last(capsys.readouterr().out) == {"a": 1.5, "b": [1.0, None, None], "3": [2, True, None], "p": str(cli._HERE)}
+    assert json_last(capsys.readouterr().out) == {"a": 1.5, "b": [1.0, None, None], "3": [2, True, None], "p": "a"}
 
 
 def test_a_table_is_markdown_with_numbers_to_the_right():

@@ -12,7 +12,7 @@ from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data import plan
 from fishmj.hydro_fit.campaign.data.run_segments import Finished, Setup
 from fishmj.hydro_fit.fit import incremental, rollout
-from fishmj.hydro_fit.water_ablation.ablation import unfitted
+from fishmj.hydro_fit.prior_model import unfitted
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.mjcf import load_robot
 from fishmj.water.dynamics import planar_chain

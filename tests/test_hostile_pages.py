@@ -16,13 +16,13 @@ from fishmj import engines, evaluate, log
 from fishmj.base import console, pages
 from fishmj.base.errors import ConfigError
 from fishmj.evaluate import plots, trial_report
-from fishmj.evaluate.rank_waters.rank_waters_command import picture as draw_rank
 from fishmj.gap.calibrate import fit_plots
 from fishmj.hydro_fit import fit_report as water
 from fishmj.log import __main__ as command
 from fishmj.mjcf import load_robot
 from fishmj.view.replay import write_html, write_png
 from fishmj.view.replay.replay_data import robot_of
+from studies.rank_waters.rank_waters_command import picture as draw_rank
 
 ROBOT = load_robot("fish")
 

@@ -13,12 +13,12 @@ from fishmj.engines.hybrid import HybridOptions
 from fishmj.engines.hybrid import tanks as tanks_of_the_solver
 from fishmj.engines.hybrid.hybrid_segment import Replay
 from fishmj.evaluate import run_trials
-from fishmj.evaluate.hybrid_trials import hybrid_trials_command
 from fishmj.lbm_oracle.run.solver_water import PLAIN, REFERENCE
 from fishmj.mjcf import load_robot
 from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import Flow
+from studies.hybrid_trials import hybrid_trials_command
 
 
 def arguments(*more):

@@ -19,12 +19,11 @@ from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import rollout
 from fishmj.hydro_fit.fit.fit_pipeline import FitSettings
 from fishmj.hydro_fit.fit.regression_rows import rows_of
-from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit, force
-from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Hooks
-from fishmj.hydro_fit.water_ablation import ablation, ablation_table
-from fishmj.hydro_fit.water_ablation.ablation import Variant
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.planar_water import world_matrix
+from studies.water_ablation import ablation, ablation_table, ellipsoid_fit, force
+from studies.water_ablation.ablation import Variant
+from studies.water_ablation.ellipsoid_swim import Hooks
 
 ROBOT, CHAIN, N = hidden.ROBOT, hidden.CHAIN, hidden.N
 E = force.ellipsoids_of(ROBOT)

@@ -12,14 +12,14 @@ from fishmj.base import console, interrupt
 from fishmj.base.errors import UsageError
 from fishmj.engines import lbm
 from fishmj.evaluate import figures, metrics, trials
-from fishmj.evaluate.rank_waters import compare_waters, rank
-from fishmj.evaluate.rank_waters import rank_waters_command as rank_command
 from fishmj.hydro_fit.__main__ import main
 from fishmj.lbm_oracle.run.domain import preset
 from fishmj.lbm_oracle.run.solver_water import PLAIN
 from fishmj.mjcf import load_robot
 from fishmj.water.flow import stack
 from fishmj.water.hydro_model import HydroModel
+from studies.rank_waters import compare_waters, rank
+from studies.rank_waters import rank_waters_command as rank_command
 
 ROBOT = load_robot("fish")
 KEY = "rmse_after_arrival"

@@ -16,10 +16,10 @@ from fishmj import lbm_oracle
 from fishmj.base.errors import ConfigError, OracleUnstable, UnknownName
 from fishmj.lbm_oracle import Scene, cylinder, grid_study, mesh, plate, section, sphere
 from fishmj.lbm_oracle.cases.sphere import clift
-from fishmj.lbm_oracle.grid_studies.grid_study import judged
 from fishmj.lbm_oracle.immersed import shapes, silhouettes
 from fishmj.lbm_oracle.immersed.markers import WALL_STRESS
 from fishmj.lbm_oracle.output import force_record
+from fishmj.lbm_oracle.run.grid_study import judged
 
 ROOT = Path(__file__).resolve().parent.parent
 D, U, NU = 0.08, 0.001, 4e-6  # m, m/s, m2/s: Re 20

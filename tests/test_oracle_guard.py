@@ -20,7 +20,6 @@ from fishmj.lbm_oracle.fluid.device import device_of
 from fishmj.lbm_oracle.fluid.domain_faces import PERIODIC, Axis, Boundaries, channel
 from fishmj.lbm_oracle.fluid.fluid import Fluid
 from fishmj.lbm_oracle.fluid.lattice import Lattice
-from fishmj.lbm_oracle.grid_studies import converge
 from fishmj.lbm_oracle.immersed.coupling import FluidStructure
 from fishmj.lbm_oracle.immersed.markers import Markers, Sharpness, fish_markers, sphere_markers
 from fishmj.lbm_oracle.refined.refined_fluid import RefinedFluid
@@ -28,6 +27,7 @@ from fishmj.lbm_oracle.run import stability
 from fishmj.lbm_oracle.run.domain import Domain, preset, tank
 from fishmj.lbm_oracle.run.setup import Gait, SwimSetup
 from fishmj.water.flow import Flow
+from studies.grid_studies import converge
 
 pytestmark = pytest.mark.oracle
 ONE = Lattice(dx=1.0, dt=1.0, rho=1.0, nu=0.02)

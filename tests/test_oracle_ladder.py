@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
+import studies.benchmarks as bench
 from fishmj.base import console
 from fishmj.base.errors import ConfigError, StoreError
-from fishmj.evaluate import bench
-from fishmj.evaluate.bench import oracle as bench_oracle
 from fishmj.lbm_oracle import cases
 from fishmj.lbm_oracle.cases import coupled_fish, cylinder, duct, impulsive, maps, oscillating, settling
 from fishmj.lbm_oracle.cases.cylinder import cylinder as held_cylinder
-from fishmj.lbm_oracle.grid_studies import converge_fish
-from fishmj.lbm_oracle.grid_studies.converge_fish import ConvergenceResult, Key
 from fishmj.lbm_oracle.run.finished_rows import FinishedRows
+from studies.benchmarks import oracle as bench_oracle
+from studies.grid_studies import converge_fish
+from studies.grid_studies.converge_fish import ConvergenceResult, Key
 
 
 def strip(passes: int = 2):

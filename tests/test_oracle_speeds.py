@@ -7,12 +7,12 @@ import pytest
 
 from fishmj.base import console
 from fishmj.base.errors import ConfigError
-from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.immersed.markers import PLAIN
 from fishmj.lbm_oracle.run import finished_rows
 from fishmj.lbm_oracle.run.domain import Domain
 from fishmj.lbm_oracle.run.finished_rows import FinishedRows
 from fishmj.lbm_oracle.run.spread import never_stop
+from studies.grid_studies import converge_fish, real_fish, speeds
 
 TINY = Domain(name="tiny", shape=(48, 36, 24), dx=0.02, dt=0.004, sponge=4)
 CALL = ["--preset", "laptop", "--frequencies", "2", "--beats", "0.6", "--device", "cpu", "--json"]

@@ -18,12 +18,12 @@ import pytest
 import warp as wp
 from spread_toys import fails, squared, steered
 
+import studies.benchmarks as bench
 from fishmj import cli, control, lbm_oracle
 from fishmj.base import console, plugins
 from fishmj.base.cores import usable_cores
 from fishmj.base.errors import ConfigError, LogError, UnknownName
-from fishmj.evaluate import bench, trials
-from fishmj.evaluate.bench import devices
+from fishmj.evaluate import trials
 from fishmj.evaluate.run_trials import judge_in_solver
 from fishmj.gap.calibrate import slip
 from fishmj.gap.laboratory.hidden_lbm import hidden
@@ -35,12 +35,13 @@ from fishmj.hydro_fit.campaign.data.segment import Segment
 from fishmj.lbm_oracle.fluid.device import device_of, devices_of
 from fishmj.lbm_oracle.force_maps import forcemap
 from fishmj.lbm_oracle.force_maps.force_points import AveragingTimes, Point
-from fishmj.lbm_oracle.grid_studies import converge_fish, real_fish, speeds
 from fishmj.lbm_oracle.run import finished_rows
 from fishmj.lbm_oracle.run.domain import Domain, preset
 from fishmj.lbm_oracle.run.solver_water import BOUNDARIES
 from fishmj.lbm_oracle.run.spread import _KeyRequests, _Process, _ProgressReports, _send_key, ray_device, spread
 from fishmj.mjcf import load_robot
+from studies.benchmarks import devices
+from studies.grid_studies import converge_fish, real_fish, speeds
 from studies.solver_family import swims
 
 TWO = ("cpu", "cpu")

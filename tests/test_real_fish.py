@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fishmj.base.errors import ConfigError, LogError
-from fishmj.lbm_oracle.grid_studies import real_fish
-from fishmj.lbm_oracle.grid_studies.real_fish import fit_slip, speed_of, swims
+from studies.grid_studies import real_fish
+from studies.grid_studies.real_fish import fit_slip, speed_of, swims
 
 SLIPS = (0.95, 0.97, 0.98, 0.99, 1.0)
 

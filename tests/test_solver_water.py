@@ -12,7 +12,6 @@ from fishmj.engines.hybrid import HybridOptions
 from fishmj.engines.lbm import LbmEngine
 from fishmj.evaluate import __main__ as evaluate
 from fishmj.evaluate import run_trials, trials
-from fishmj.evaluate.rank_waters import rank_waters_command
 from fishmj.gap.calibrate import slip
 from fishmj.gap.calibrate.__main__ import reference_grid
 from fishmj.hydro_fit.campaign.dagger import dagger
@@ -32,6 +31,7 @@ from fishmj.train.settings import preset as train_preset
 from fishmj.water.choice import in_water
 from fishmj.water.flow import Flow
 from fishmj.water.hydro_model import HydroModel
+from studies.rank_waters import rank_waters_command
 
 
 def test_plain_is_the_papers_tank_and_options_change_it():

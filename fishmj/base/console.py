@@ -15,7 +15,9 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from difflib import get_close_matches
+from functools import cached_property
 from importlib import import_module
+from importlib.metadata import entry_points
 from textwrap import dedent
 from typing import Any, NamedTuple, NoReturn
 
@@ -297,6 +299,14 @@ def split_examples(docstring: str) -> tuple[str, str]:
 HELP = ("-h", "--help", "help")  # before a command too: `help find` is `find --help`
 
 
+VERBS = "fishmj.verbs"  # group of the entry points of verbs and commands
+
+
+def more_verbs() -> str:
+    """Hint at the verbs of the studies, as the end of an error; "" if an installed package adds some."""
+    return "" if entry_points(group=VERBS) else " The studies of a clone add more: pip install -e studies"
+
+
 class Command(NamedTuple):
     """One command of a group: a module with `main(argv)` by its name, or the function itself."""
 
@@ -314,12 +324,20 @@ class CommandGroup:
 
     `--help` lists them. An unknown command raises an error with the nearest name; a missing one is a usage error. A name may be
     two words (`converge fish`). Only the command that is called is imported. `bare` names the command that runs when none is
-    given, with the options that are there.
+    given, with the options that are there. Installed packages add commands by entry points in the group `fishmj.verbs`, whose
+    name is the verb and whose value is a {name: Command}.
     """
 
     def __init__(self, verb: str, summary: str, commands: Mapping[str, Command], bare: str = ""):
-        self.verb, self.summary, self.commands, self.bare = verb, summary, dict(commands), bare
-        _EXAMPLES.update({f"fishmj {verb} {name}": f"examples:\n  {command.example}" for name, command in commands.items()})
+        self.verb, self.summary, self.own, self.bare = verb, summary, dict(commands), bare
+
+    @cached_property
+    def commands(self) -> dict[str, Command]:
+        """Commands of fishmj, then those that installed packages add."""
+        added = {name: command for point in entry_points(group=VERBS, name=self.verb) for name, command in point.load().items()}
+        found = {**added, **self.own}
+        _EXAMPLES.update({f"fishmj {self.verb} {name}": f"examples:\n  {command.example}" for name, command in found.items()})
+        return {**self.own, **found}
 
     def __call__(self, argv: list[str]) -> int | None:
         if argv and argv[0] in HELP:
@@ -340,7 +358,8 @@ class CommandGroup:
     def load(self, name: str) -> Main:
         """Imports a command and returns its function. Raises UnknownName: no command of this name."""
         if name not in self.commands:
-            raise UnknownName(f"{self.verb} command", name if len(name) <= SHOWN else name[:SHOWN] + "...", self.commands)
+            short = name if len(name) <= SHOWN else name[:SHOWN] + "..."
+            raise UnknownName(f"{self.verb} command", short, self.commands, more=more_verbs())
         run = self.commands[name].run
         if not isinstance(run, str):
             return run

@@ -25,15 +25,14 @@ FRESH = "-fresh"  # of a data set's name: more test episodes, solved when the mo
 
 
 def run(verb: str, argv: list[str]) -> int | None:
-    """Runs one of all, fit, calibrate, check, report, ablation."""
+    """Runs one of all, fit, calibrate, check, report."""
     made = options(verb)
     args = made.parse_args(argv)
     needs: dict = {
         "fit or all": (verb in ("fit", "all"), ("name", "seed")),
-        "a verb other than ablation": (verb != "ablation", ("base",)),
+        "all, calibrate, check or report": (verb != "fit", ("model", "prior")),
+        "a fitted water, not --prior": (not args.prior, ("model", "base")),
     }
-    needs |= {"all, calibrate, check or report": (verb not in ("fit", "ablation"), ("model", "prior"))}
-    needs |= {"a fitted water, not --prior": (not args.prior, ("model", "base"))}
     console.refuse_unheeded(f"hydro_fit {verb}", args, made, needs)
     robot = load_robot(args.fish)
     code = console.OK
@@ -51,8 +50,6 @@ def run(verb: str, argv: list[str]) -> int | None:
     if verb in ("report", "all"):
         found["report"] = str(report(robot, folder, args))
         console.say(f"report: {found['report']}")
-    if verb == "ablation":
-        found["ablation"] = ablation(robot, folder, args)
     if args.json:
         console.emit_json(found[verb] if verb in found and isinstance(found[verb], dict) else found)
     return code
@@ -138,9 +135,6 @@ def options(verb: str) -> console.Parser:
     if verb in ("fit", "all"):
         swims = console.whole(0, 100_000)
         add("--swims", type=swims, help="steps of learning by swims, 1000 by default; 0 learns from forces alone")
-    if verb == "ablation":
-        add("--rows", type=console.Listed(console.text), default=[], metavar="NAME,..", help="rows of the table; default all")
-        add("--seeds", type=console.Listed(console.SEED), default="0", metavar="N,..", help="of learnt rows: 0,1,2")
     if verb == "all":
         place = "of the flow solver: auto, cpu, cuda, cuda:N, cuda:all or a list of them; default auto"
         add("--device", type=console.devices, default="auto", help=place)
@@ -336,7 +330,7 @@ def fastest_gait(robot: Robot, water: Path) -> float | None:
 def chosen(robot: Robot, args) -> HydroModel:
     """Model to be judged."""
     if args.prior:
-        from fishmj.hydro_fit.water_ablation.ablation import unfitted
+        from fishmj.hydro_fit.prior_model import unfitted
 
         return unfitted(robot)
     places = [folder / f"{robot.name}.toml" for folder in ([Path(args.out)] if args.out else FOLDERS)]
@@ -408,28 +402,6 @@ def check(robot: Robot, folder: Path, args) -> dict:
     return found
 
 
-def ablation(robot: Robot, folder: Path, args) -> dict:
-    """Fits the model without each of its parts, on the same held-out records."""
-    from fishmj.hydro_fit.fit.fit_pipeline import FitSettings
-    from fishmj.hydro_fit.fit.training_loop import use_cores_as_devices
-    from fishmj.hydro_fit.water_ablation import ablation_table
-    from fishmj.hydro_fit.water_ablation.ablation import table
-
-    use_cores_as_devices()
-    data = open_dataset(folder)
-    slip = slip_of(data, args.slip)
-    parts = [*(records_of(data, robot, split, slip) for split in ("train", "val")), held_out(robot, folder, args)[0]]
-    out = Path(args.out or Path("runs") / "hydro_fit" / f"ablation-{folder.name}-{robot.name}-{slip:g}")
-    about = {"sha256": data.sha256, "folder": folder.name, "slip": slip}
-    given = {"names": args.rows, "seeds": args.seeds}
-    with console.Progress(1.0, f"ablation {folder.name}") as bar:
-        told = lambda share, what: bar.update(share, at=what)
-        rows = table(robot, *parts, settings=FitSettings(), dataset=about, folder=out, report=told, **given)
-    console.say(console.table(ablation_table.cells(rows)))
-    console.say(*(f"wrote {path}" for path in ablation_table.write(out, rows, about)))
-    return {"about": about, "rows": rows}
-
-
 def report(robot: Robot, folder: Path, args) -> Path:
     """Writes report.html and report.json beside the model."""
     from fishmj.hydro_fit.fit_report import write
@@ -445,7 +417,6 @@ WRITTEN = {
     "calibrate": "the model with its new error bar, in place of the old; default data/water",
     "check": "where the model is looked for, nothing is written; default data/water",
     "report": "<robot>-report/ with report.html and report.json, in place of old ones; default data/water",
-    "ablation": "the table; finished rows there are not done again; default runs/hydro_fit/ablation-...",
 }
 _ROWS: tuple[tuple[str, ...], ...] = (
     # verb, summary, options of the example, module where it is not `run`
@@ -457,14 +428,8 @@ _ROWS: tuple[tuple[str, ...], ...] = (
     ("calibrate", "the error bar of a model, by swims that no fit has seen", "--data runs/bar"),
     ("check", "the model on held-out episodes; exit 1 where it misses a tolerance", "--prior"),
     ("report", "report.html and report.json of a model", "--out runs/water"),
-    ("ablation", "what each part of the model is worth: fits without it, same held-out records",
-        "--data data/hydro/swift --seeds 0,1,2"),
-    ("hybrid", "MuJoCo's water corrected by the solver while it swims",
-        "--wrong stream --domain laptop --episodes 1 --seconds 20", "fishmj.evaluate.hybrid_trials.hybrid_trials_command"),
     ("correct", "rounds of a policy's own states, solved and refitted",
         "paper --domain window_coarse --device cuda --out runs/correct", "fishmj.hydro_fit.campaign.dagger.dagger"),
-    ("rank", "controllers in the solver and in the fitted water, on the same trials",
-        "pd pi --domain laptop --device cpu --trials 6 --seconds 10", "fishmj.evaluate.rank_waters.rank_waters_command"),
 )  # fmt: skip
 COMMANDS = {
     verb: Command(module[0] if module else partial(run, verb), summary, f"fishmj hydro_fit {verb} {example}")

@@ -8,7 +8,7 @@ limits, docs/solver/results.md the validation table.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fishmj.lbm_oracle.grid_studies.grid_study import grid_study
+    from fishmj.lbm_oracle.run.grid_study import grid_study
     from fishmj.lbm_oracle.scene import Scene, cylinder, mesh, plate, section, sphere
 
 __all__ = ["Scene", "cylinder", "grid_study", "mesh", "plate", "section", "sphere"]
@@ -19,7 +19,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'fishmj.lbm_oracle' has no attribute {name!r}")
     if name == "grid_study":
-        from fishmj.lbm_oracle.grid_studies.grid_study import grid_study
+        from fishmj.lbm_oracle.run.grid_study import grid_study
 
         return grid_study
     from fishmj.lbm_oracle import scene

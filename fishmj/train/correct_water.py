@@ -25,8 +25,8 @@ from fishmj.base.store.manifest import shipped
 from fishmj.hydro_fit.campaign.dagger import dagger
 from fishmj.hydro_fit.campaign.data.collect import Local, Pool, tanks_on
 from fishmj.hydro_fit.campaign.data.run_segments import Setup
+from fishmj.hydro_fit.prior_model import unfitted
 from fishmj.hydro_fit.segment_dataset import open_dataset
-from fishmj.hydro_fit.water_ablation.ablation import unfitted
 from fishmj.lbm_oracle.fluid.device import devices_of
 from fishmj.lbm_oracle.run import solver_cost
 from fishmj.lbm_oracle.run.solver_water import water_of_fit

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 from fishmj.base import console
-from fishmj.evaluate.bench import hydro, surrogate_speed
+from studies.benchmarks import hydro, surrogate_speed
 
 SECONDS, SWUM = 10.0, 64  # of the swims that are compared, and fish
 BLOCKS = ((256, 4), (512, 16))  # fish a program and warps, of the kernel of a step
@@ -73,7 +73,7 @@ def places(double: bool) -> np.ndarray:
     import jax
 
     from fishmj import engines
-    from fishmj.evaluate.bench.engines import _school
+    from studies.benchmarks.engines import _school
 
     robot = hydro.robot_of(True, made_up=False)
     chunks = round(SECONDS / robot.timing.control_dt)

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from fishmj.hydro_fit.fit import rollout
-from fishmj.hydro_fit.mujoco_ellipsoid import force
 from fishmj.water.dynamics import planar_chain
+from studies.water_ablation import force
 
 
 class Hooks:

@@ -14,7 +14,7 @@ from math import prod
 from pathlib import Path
 
 from fishmj.base.compile_cache import cache_folder
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, benchmark
+from studies.benchmarks import BenchmarkWork, NotHere, benchmark
 
 MEGA = 1e6
 

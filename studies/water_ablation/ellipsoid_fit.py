@@ -21,12 +21,12 @@ from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import fit_pipeline, gauss_newton, linear_regression, rollout
 from fishmj.hydro_fit.fit.gauss_newton import flaps
 from fishmj.hydro_fit.fit.regression_rows import RegressionRows, mean3, rows_of
-from fishmj.hydro_fit.mujoco_ellipsoid import force
-from fishmj.hydro_fit.mujoco_ellipsoid.ellipsoid_swim import Bound, EllipsoidSwim
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.water.dynamics import planar_chain, strip_forces
 from fishmj.water.prior import Prior
+from studies.water_ablation import force
+from studies.water_ablation.ellipsoid_swim import Bound, EllipsoidSwim
 
 MOST = 8.0  # bound on a coefficient, in MuJoCo's defaults: a drag of twice the strips' highest
 DRAWN, FEW, BEST, SPREAD = 126, 12, 3, 0.8  # SPREAD: standard deviation of ln factor of the draws

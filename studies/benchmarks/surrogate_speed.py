@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, add, benchmark, oracle
-from fishmj.evaluate.bench import hydro as water
-from fishmj.evaluate.bench.engines import finite_work, on_device
+from studies.benchmarks import BenchmarkWork, NotHere, add, benchmark, oracle
+from studies.benchmarks import hydro as water
+from studies.benchmarks.engines import finite_work, on_device
 
 FISH, FISH_MJX, FISH_CPU, FISH_QUICK = 2**17, 2**14, 1024, 64
 CHUNKS = 10  # control steps a run, in one compiled scan

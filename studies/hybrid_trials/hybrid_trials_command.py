@@ -40,7 +40,6 @@ from fishmj.engines.hybrid.hybrid_segment import Replay
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.metrics import Result, beat_mean, difference
 from fishmj.evaluate.protocol import Trials
-from fishmj.evaluate.rank_waters.rank import GAP
 from fishmj.hydro_fit.campaign.data.collect import ON_GPU, tanks_on
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
@@ -53,6 +52,7 @@ from fishmj.mjcf.reading import load_robot
 from fishmj.water import choice
 from fishmj.water.dynamics import planar_chain
 from fishmj.water.flow import DrawnFlow, Flow, shifted
+from studies.rank_waters.rank import GAP
 
 SHORTER, LESS, FASTER, STICKS = 0.9, 0.7, 0.05, 0.02  # of the tail's length, of its added mass; m/s; less slip
 WRONG = ("none", "slip", "tail", "added_mass", "stream")

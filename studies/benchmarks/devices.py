@@ -13,8 +13,8 @@ from typing import Any
 
 from fishmj.base import processes
 from fishmj.base.errors import ConfigError
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, add
-from fishmj.evaluate.bench.oracle import TANKS, TANKS_CPU, TICKS, TICKS_CPU, TICKS_QUICK, _resting
+from studies.benchmarks import BenchmarkWork, NotHere, add
+from studies.benchmarks.oracle import TANKS, TANKS_CPU, TICKS, TICKS_CPU, TICKS_QUICK, _resting
 
 PATIENCE = 5.0  # s that a process has to end
 

@@ -20,13 +20,13 @@ from fishmj.base.errors import ConfigError, StoreError, UnknownName
 from fishmj.base.store import json_sha256, plain, read_json, write_json
 from fishmj.hydro_fit import free_swims
 from fishmj.hydro_fit.fit import fit_pipeline
-from fishmj.hydro_fit.mujoco_ellipsoid import ellipsoid_fit, force
+from fishmj.hydro_fit.prior_model import unfitted
 from fishmj.hydro_fit.record import SegmentRecord
 from fishmj.mjcf.description import Robot
 from fishmj.mjcf.identity import body_sha256
-from fishmj.water.dynamics import planar_chain
 from fishmj.water.hydro_model import HydroModel, robot_hash
 from fishmj.water.prior import flat, unflat
+from studies.water_ablation import ellipsoid_fit, force
 
 SCHEMA = "fishmj.ablation/1"
 
@@ -89,7 +89,7 @@ def table(
     about = {
         "robot": robot_hash(robot),
         "data": dataset,
-        "code": fit_pipeline.code("hydro_fit/mujoco_ellipsoid", "hydro_fit/water_ablation"),
+        "code": fit_pipeline.code(str(Path(__file__).parent)),
     }
     about["records"] = [[r.id for r in part] for part in parts]
     words = lambda: f"{folder} holds {len(made)} of {len(todo)} rows; {interrupt.again()}"
@@ -162,23 +162,6 @@ def _told(found: dict, *, seconds: float = 0.0, notes: str = "") -> dict:
     figures = {key: value for key, value in found["figures"].items() if not isinstance(value, dict)}
     counts = {key: found["n"][key] for key in figures}
     return {"figures": figures, "n": counts, "freerun_s": found["freerun_s"], "seconds": seconds, "notes": notes}
-
-
-def unfitted(robot: Robot) -> HydroModel:
-    """Model with the robot's own water table."""
-    water, ch = planar_chain.nominal(robot).water, planar_chain.chain_of(robot)
-    members = np.tile(flat(water), (5, 1))
-    return HydroModel(
-        name="prior",
-        robot=robot.name,
-        robot_sha256=robot_hash(robot),
-        body_sha256=body_sha256(robot),
-        dt=ch.dt,
-        slip=1.0,
-        base=water,
-        members=members,
-        alone=np.concatenate([members[:1], members]),
-    )
 
 
 NEEDS = {  # settings that a stage depends on, besides those of the stages before it

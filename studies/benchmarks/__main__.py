@@ -4,8 +4,8 @@ import json
 import traceback
 
 from fishmj.base import console, interrupt
-from fishmj.evaluate.bench import Benchmark, engines, known, measure, pick
 from fishmj.water import choice
+from studies.benchmarks import Benchmark, engines, known, measure, pick
 
 
 def _measured(bench: Benchmark, quick: bool) -> dict:

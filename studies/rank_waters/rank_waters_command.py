@@ -25,8 +25,6 @@ from fishmj.base.pages import drawn
 from fishmj.base.store import clear, write_json
 from fishmj.evaluate import protocol, run_trials
 from fishmj.evaluate.plots import AROUND, COLOURS, FAINT, INK, STYLE, plain_ticks
-from fishmj.evaluate.rank_waters import compare_waters, rank
-from fishmj.evaluate.rank_waters.rank import GAP
 from fishmj.hydro_fit.campaign.data.collect import GO, ON_GPU, tanks_on
 from fishmj.hydro_fit.campaign.data.solver_hash import solver_sha256
 from fishmj.lbm_oracle.fluid.device import device_of
@@ -35,6 +33,8 @@ from fishmj.lbm_oracle.run.domain import EVERY, PREVIEWS
 from fishmj.lbm_oracle.run.solver_water import boundary_entry, water_of_fit
 from fishmj.mjcf.reading import load_robot
 from fishmj.water.hydro_model import HydroModel, shipped
+from studies.rank_waters import compare_waters, rank
+from studies.rank_waters.rank import GAP
 
 DEFAULT = ("dob", "pi", "pd", "adrc-c1", "station-sac", "station", "drift")
 MEANING = {

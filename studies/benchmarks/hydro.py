@@ -14,8 +14,8 @@ from tempfile import mkdtemp
 import numpy as np
 
 from fishmj.base.errors import FishmjError
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, add
-from fishmj.evaluate.bench.engines import finite_work, on_device
+from studies.benchmarks import BenchmarkWork, NotHere, add
+from studies.benchmarks.engines import finite_work, on_device
 
 MODEL, FISH, SECONDS = "swift", 256, 2.0
 FISH_COMPILED = 4096

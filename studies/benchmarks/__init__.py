@@ -43,11 +43,11 @@ class Benchmark(NamedTuple):
 
 REGISTRY: dict[str, Benchmark] = {}
 SUITES = (
-    "fishmj.evaluate.bench.engines",
-    "fishmj.evaluate.bench.hydro",
-    "fishmj.evaluate.bench.oracle",
-    "fishmj.evaluate.bench.devices",
-    "fishmj.evaluate.bench.surrogate_speed",
+    "studies.benchmarks.engines",
+    "studies.benchmarks.hydro",
+    "studies.benchmarks.oracle",
+    "studies.benchmarks.devices",
+    "studies.benchmarks.surrogate_speed",
 )  # modules that register benchmarks when imported
 
 

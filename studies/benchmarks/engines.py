@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from fishmj.base.calib import constant
-from fishmj.evaluate.bench import BenchmarkWork, NotHere, add, benchmark
 from fishmj.water.choice import in_water, label
+from studies.benchmarks import BenchmarkWork, NotHere, add, benchmark
 
 SEED = 5
 WATER: list[str | None] = [None]  # of the engines and the environment: `fishmj bench --water`
