@@ -1,6 +1,7 @@
 """The next experiment: planned like a real one, judged by what tells the explanations that are left apart."""
 
 import json
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ pytest.importorskip("numba")
 from fishmj import effects
 from fishmj.base.errors import LogError, UnknownName
 from fishmj.base.store import write_json
+from fishmj.effects.ambiguity import together
 from fishmj.gap import experiment
 from fishmj.gap.commands import next_experiment
 from fishmj.gap.experiment import (
@@ -27,7 +29,7 @@ from fishmj.gap.experiment import (
 )
 from fishmj.gap.models.swimming_fish import SwimmingFish
 from fishmj.gap.null.null_runs import SimulatedNull, as_excitation
-from fishmj.gap.records.records import record_of
+from fishmj.gap.records.records import Sensor, record_of
 from fishmj.gap.verdict import NamedEffect, Value, Verdict
 from fishmj.log import excitation
 
@@ -81,6 +83,44 @@ def test_what_moves_the_fish_sets_apart_what_a_resting_fish_does_not(plant, like
     found = experiment_scores(plant, sides, like, ("drift_north", "gait_fast"), NULL)
     assert [p.excitation for p in found] == ["gait_fast", "drift_north"]
     assert found[0].sigma > 5 > found[1].sigma
+
+
+def towed_pairs():
+    """Pairs of the catalogue whose separating experiments begin with a push, with these experiments."""
+    pairs: dict[tuple[str, str], set[str]] = {}
+    for effect in effects.catalogue().values():
+        for other in effect.confusions:
+            pairs.setdefault(tuple(sorted((effect.name, other.other))), set()).update(other.excitations)
+    for one, other in combinations(effects.catalogue(), 2):
+        if same := together(one, other):
+            pairs.setdefault(tuple(sorted((one, other))), set()).update(same.excitations)
+    towed = {pair: [run for run in sorted(runs) if any(excitation.get(run).push)] for pair, runs in pairs.items()}
+    return {pair: runs for pair, runs in towed.items() if runs}
+
+
+@pytest.fixture(scope="module")
+def placed(like):
+    """A record of a fish that was put in its place, as each jig and `gap plant` state it."""
+    return like._replace(placed=Sensor(np.zeros(1), np.zeros((1, 3)), np.full(3, 1e-3)))
+
+
+def test_each_experiment_is_scored_for_logs_with_a_stated_start(plant, placed):
+    """A push has no resting start pose, so its null runs lack that sensor."""
+    sides = normalise_weights([side(plant, "command_latency", 0.03), side(plant, "steady_current", 0.03)])
+    runs = excitation.listed("all")
+    assert sum(any(excitation.get(run).push) for run in runs) >= 3
+    for record in (placed, placed._replace(power=None)):
+        found = experiment_scores(plant, sides, record, runs, SimulatedNull(runs=2))
+        assert sorted(p.excitation for p in found) == sorted(runs) and all(np.isfinite(p.sigma) for p in found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", towed_pairs(), ids=" ".join)
+def test_pair_that_a_tow_separates_is_scored(placed, pair):
+    model = SwimmingFish(catalogue=[effects.get(name) for name in pair])
+    sides = normalise_weights([side(model, name, effects.get(name).parameters[0].typical[1]) for name in pair])
+    runs = towed_pairs()[pair]
+    assert [p.excitation for p in experiment_scores(model, sides, placed, runs[:1], SimulatedNull(runs=2))] == runs[:1]
 
 
 def test_a_parameter_that_the_data_leave_open_separates_less(plant, like):

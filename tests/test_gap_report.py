@@ -4,12 +4,16 @@ import dataclasses
 import json
 import re
 import subprocess
+from dataclasses import replace
 
 import hostile
 import numpy as np
 import pytest
 
 from fishmj import effects
+from fishmj.base import console
+from fishmj.gap import workflow
+from fishmj.gap.commands import find
 from fishmj.gap.laboratory.virtual_robot import generate
 from fishmj.gap.localise import compared, error_growth, localise
 from fishmj.gap.localise.comparison import KINDS, kinds_of
@@ -24,7 +28,7 @@ from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
 from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import investigate
-from fishmj.log import excitation
+from fishmj.log import excitation, write_dataset
 
 EFFECTS = (  # as in test_gap.py: one compiled plant for both
     *("command_latency", "joint_sensor_delay", "coulomb_friction", "servo_gain", "steady_current", "camera_scale", "yaw_drag"),
@@ -314,3 +318,71 @@ def test_a_browser_shows_the_page_without_overflow(folder, tmp_path):
     assert np.mean((r > 240) & (g > 240) & (b > 240)) > 0.6, "light"
     assert np.sum((b > 120) & (r < 40) & (g < 130) & (g > 60)) > 2000, "the answer's blue"
     assert np.sum((r > 200) & (g > 70) & (g < 120) & (b < 40)) > 50, "the orange of the model as it was"
+
+
+# Work after the answer.
+
+
+def failing(*given, **named):
+    raise RuntimeError("no advice today")
+
+
+@pytest.fixture
+def second(inquiry, monkeypatch):
+    """`investigate` with the finished search of `inquiry` in place of another one; of an answer that each advice needs."""
+
+    def again(answer: str, **named):
+        monkeypatch.setattr(workflow, "forward_select", lambda *given: inquiry.found)
+        monkeypatch.setattr(workflow, "decide", lambda *given: replace(inquiry.verdict, answer=answer))
+        monkeypatch.setattr(workflow, "VETOES", ())
+        return investigate(inquiry.evidence.model, inquiry.trials, null=NULL, further=True, **named)
+
+    return again
+
+
+ADVICE = {
+    "CLASS": "fishmj.gap.experiment.advise",
+    "UNEXPLAINED": "fishmj.gap.terms.select.describe",
+    "AGREES": "fishmj.gap.workflow.missed_sizes",
+}
+
+
+@pytest.mark.parametrize("answer", ADVICE)
+def test_failing_advice_costs_no_answer(answer, second, monkeypatch, capsys):
+    """The answer is given first; advice that raises is a warning."""
+    monkeypatch.setattr(ADVICE[answer], failing)
+    given: list = []
+    done = second(answer, answered=given.append)
+    assert [one.verdict.answer for one in given] == [answer] and done.verdict == given[0].verdict
+    assert "the answer is complete, but" in (said := capsys.readouterr().err) and "no advice today" in said
+
+
+def test_interrupted_advice_leaves_the_verdict(second, monkeypatch):
+    def stop(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ADVICE["CLASS"], stop)
+    given: list = []
+    with pytest.raises(KeyboardInterrupt):
+        second("CLASS", answered=given.append)
+    assert given[0].verdict.answer == "CLASS"
+
+
+AFTER = (
+    "fishmj.gap.commands.find.steady_speeds",
+    "fishmj.gap.commands.find.settle",
+    "fishmj.gap.report.gather",
+    "fishmj.gap.report.html",
+)
+
+
+@pytest.mark.parametrize("stage", AFTER)
+def test_failing_page_costs_no_answer(stage, inquiry, tmp_path, monkeypatch, capsys):
+    """verdict.json is there, and the exit code is that of the answer, whatever fails behind it."""
+    monkeypatch.setattr(stage, failing)
+    monkeypatch.setattr(find, "search", lambda args, robot, given, notes, healthy, answered: answered(inquiry) or inquiry)
+    logs = write_dataset(tmp_path / "logs", {t.name: t for t in inquiry.trials})
+    assert console.run(find.main, [str(logs), "--out", str(tmp_path / "out"), "--json"]) == console.OK
+    done = capsys.readouterr()
+    assert json.loads((tmp_path / "out" / "verdict.json").read_text())["answer"] == inquiry.verdict.answer
+    assert json.loads(done.out.splitlines()[-1])["answer"] == inquiry.verdict.answer and "no advice today" in done.err

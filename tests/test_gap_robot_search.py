@@ -165,6 +165,24 @@ def test_gap_is_located_once_for_the_text_and_for_json(sticky, arm, monkeypatch,
     assert f"  {located[0].text}" in said and json.loads(told)["localisation"]["text"] == located[0].text
 
 
+@pytest.mark.parametrize("stage", ["place_of", "place_text", "write_robot_page"])
+def test_failing_page_costs_a_robot_no_answer(stage, sticky, arm, tmp_path, monkeypatch, capsys):
+    """The verdict is on disk before the place of the gap and the page are made."""
+
+    def fail(*given):
+        raise RuntimeError("no page today")
+
+    monkeypatch.setattr(find_robot, "read_logs", lambda args: (arm, [], [None, None], {}))
+    monkeypatch.setattr(find_robot, "search", lambda robot, trials, args, answered: answered(sticky) and sticky)
+    monkeypatch.setattr(find_robot, "context_of", lambda *given: {"judged": []})
+    monkeypatch.setattr(find_robot, stage, fail)
+    assert find_robot.find(SimpleNamespace(out=tmp_path, json=True)) == 0
+    done = capsys.readouterr()
+    assert "the answer is complete, but" in done.err and "no page today" in done.err
+    assert json.loads((tmp_path / "verdict.json").read_text())["answer"] == sticky.verdict.answer
+    assert json.loads(done.out.splitlines()[-1])["answer"] == sticky.verdict.answer
+
+
 def test_of_a_model_that_agrees_the_tolerances_explain_the_residual(sticky):
     place, agrees = place_of(sticky), replace(sticky.verdict, answer="AGREES")
     assert place_text(agrees, place) == f"{place.text}; the stated tolerances explain all of it"

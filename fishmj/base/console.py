@@ -19,7 +19,7 @@ from functools import cached_property
 from importlib import import_module
 from importlib.metadata import entry_points
 from textwrap import dedent
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 from fishmj.base import interrupt, terminal
 from fishmj.base.errors import DescriptionError, FishmjError, UnknownName, UsageError
@@ -55,6 +55,7 @@ from fishmj.base.terminal import duration as duration
 from fishmj.base.terminal import printable as printable
 from fishmj.base.terminal import table as table
 
+T = TypeVar("T")
 OK, FAILED_CHECK, BAD_INPUT, CANNOT_TELL, FAULT = 0, 1, 2, 3, 70
 HUNG_UP, INTERRUPTED, PIPE_CLOSED, TERMINATED = 129, 130, 141, 143
 EXITS = {
@@ -390,6 +391,21 @@ def warn(message: str) -> None:
         terminal.put(f"fishmj: {_one_line(message)}", sys.stderr)
     elif message not in _HELD[-1]:
         _HELD[-1].append(message)
+
+
+def after_answer(what: str, work: Callable[[], T], otherwise: T) -> T:
+    """Result of work that follows an answer, such as advice, a page or a plot; `otherwise` if it raises.
+
+    The answer is complete and written by then, so an error of this work is a warning and costs nothing else.
+    """
+    try:
+        return work()
+    except Exception as error:  # noqa: BLE001 - whatever it is, the answer stands
+        if os.environ.get(TRACEBACK):
+            traceback.print_exc()
+        reason = f"{type(error).__name__}: {error}" if not isinstance(error, FishmjError) else str(error)
+        warn(f"the answer is complete, but {what} failed: {reason}; {TRACEBACK}=1 shows the traceback")
+        return otherwise
 
 
 @contextmanager

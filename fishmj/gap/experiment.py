@@ -41,6 +41,7 @@ ENOUGH = 5.0  # expected separation, sigma, from which an experiment decides
 LEFT = 3  # explanations compared, including the best
 WEIGH = "Weigh the robot, balance it on an edge and time it on two threads (measurements.toml beside the trials)"
 OPEN = ("CLASS", "UNEXPLAINED")
+SENSORS = ("joint", "pose", "power", "placed")
 
 
 class Hypothesis(NamedTuple):
@@ -87,7 +88,7 @@ def experiment_scores(
     out = []
     with bars(len(plans), "experiments", "") as bar:
         for plan in plans:
-            out.append(experiment_score(model, sides, plan, null))
+            out.append(experiment_score(model, sides, with_sensors_of_null(model, plan, null), null))
             bar.update(len(out))
     return sorted(out, key=lambda p: -p.worth)
 
@@ -140,6 +141,12 @@ def planned_record(run: Excitation, like: Record) -> Record:
         joints=run.commands[0].copy(),
         weighed=None,
     )
+
+
+def with_sensors_of_null(model, plan: Record, null: SimulatedNull) -> Record:
+    """The planned record without sensors that the null runs of its experiment lack, such as a start pose after a push."""
+    columns = null.experiment(model, plan)
+    return plan._replace(**{name: None for name in SENSORS if getattr(plan, name) is not None and f"{name}0" not in columns})
 
 
 def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:

@@ -6,10 +6,12 @@ read -> null runs -> forward selection -> gates -> free forces -> repeatability 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from fishmj.base import console
 from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
@@ -89,6 +91,7 @@ def investigate(
     say: Callable[[str], None] = lambda text: None,
     bars: Bars = silent_bar,
     admit: Callable[[Likelihood], None] = lambda e: None,
+    answered: Callable[[Inquiry], None] = lambda inquiry: None,
     notes: tuple[str, ...] = (),
 ) -> Inquiry:
     """Finds the missing effects of `model` in `trials`.
@@ -99,7 +102,8 @@ def investigate(
         healthy: result of the calibration swims (search/healthy_swims.py): the usual gap of this robot and its remaining
             uncertainty; None: not measured.
         further: after CLASS, also search for the deciding experiment; after UNEXPLAINED, for terms that describe the gap.
-        bars: progress bars. admit: is called with the likelihood before the search and may raise. notes: for the report.
+        bars: progress bars. admit: is called with the likelihood before the search and may raise. answered: is called with the
+            answer, before any advice is computed. notes: for the report.
 
     Raises LogError: fewer than two trials, or a trial that cannot be compared; ConfigError: a page with an invalid number.
     """
@@ -127,8 +131,12 @@ def investigate(
     verdict = decide(e, found, gates)
     inquiry = Inquiry(verdict, e, found, gates, trials, records, unseen, null, swims, further, seed, say, bars, notes)
     for veto in VETOES:
-        verdict = veto(verdict, inquiry)
-    return replace(inquiry, verdict=with_missed_sizes(verdict, inquiry))
+        inquiry = replace(inquiry, verdict=veto(inquiry.verdict, inquiry))
+    answered(inquiry)
+    for what, step in ADVICE.items():
+        advised = console.after_answer(what, partial(step, inquiry.verdict, inquiry), inquiry.verdict)
+        inquiry = replace(inquiry, verdict=advised)
+    return inquiry
 
 
 def compile_kernel(model, say: Callable[[str], None]) -> None:
@@ -148,18 +156,6 @@ def set_aside(records: Sequence, seed: int) -> np.ndarray:
     return aside
 
 
-def with_missed_sizes(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Adds to AGREES the sizes of effects that could have been missed, at the cost of a few evaluations.
-
-    Detection needs `gain`; after a round that found no more than chance it needs `certain_gain`.
-    """
-    if verdict.answer != "AGREES":
-        return verdict
-    e, found, gates = inquiry.evidence, inquiry.found, inquiry.gates
-    asked = max(gates.certain_gain, gates.gain) if found.best.names else gates.gain
-    return replace(verdict, missed=missed_sizes(e.subset(), found.base.row, asked))
-
-
 # ------------------------------------------------------------------------------------------------------------------------- vetoes
 def challenge_by_free_forces(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     """Veto G10: UNEXPLAINED if a free force explains more; CLASS if a sensor error explains as much."""
@@ -174,29 +170,6 @@ def require_repeatability(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     """Veto: NOT_REPEATABLE if replicates differ. It replaces any answer but AGREES."""
     shakes = unrepeatable(inquiry.trials, inquiry.evidence) if verdict.answer != "AGREES" else ""
     return replace(verdict, answer="NOT_REPEATABLE", reason=shakes, effects=(), rivals=()) if shakes else verdict
-
-
-def propose_experiment(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Adds to CLASS the experiment that separates its effects; of an implausible value, the numbers to check."""
-    if not inquiry.further or verdict.answer != "CLASS":
-        return verdict
-    if verdict.implausible:
-        stack = inquiry.evidence.model.active
-        return replace(verdict, next_experiment=advice(stack.effect(e.name) for e in verdict.effects))
-    from fishmj.gap.experiment import advise
-
-    inquiry.say("searching for the experiment that separates these effects")
-    return advise(inquiry.evidence, inquiry.found, verdict, inquiry.null, inquiry.bars)
-
-
-def describe_by_terms(verdict: Verdict, inquiry: Inquiry) -> Verdict:
-    """Adds to UNEXPLAINED the terms that describe the remaining gap."""
-    if not inquiry.further or verdict.answer != "UNEXPLAINED":
-        return verdict
-    from fishmj.gap.terms.select import describe
-
-    inquiry.say("searching for forces that describe the gap")
-    return replace(verdict, terms=describe(inquiry.evidence, inquiry.null, inquiry.seed))
 
 
 def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
@@ -256,11 +229,53 @@ def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
-# The vetoes in the order of rows 20 to 22 of docs/search/gap.md; steps that only add to the verdict stand where needed.
+# The vetoes in the order of rows 20 to 22 of docs/search/gap.md; two are for robots in MJCF
 VETOES = (
-    *(challenge_by_free_forces, require_repeatability, require_residual_at_floor, propose_experiment, describe_by_terms),
-    *(require_smaller_torques, ask_unseen_records),
+    *(challenge_by_free_forces, require_repeatability, require_residual_at_floor, require_smaller_torques, ask_unseen_records),
 )
+
+
+# ------------------------------------------------------------------------------------------------------------------------- advice
+def propose_experiment(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Adds to CLASS the experiment that separates its effects; of an implausible value, the numbers to check."""
+    if not inquiry.further or verdict.answer != "CLASS":
+        return verdict
+    if verdict.implausible:
+        stack = inquiry.evidence.model.active
+        return replace(verdict, next_experiment=advice(stack.effect(e.name) for e in verdict.effects))
+    from fishmj.gap.experiment import advise
+
+    inquiry.say("searching for the experiment that separates these effects")
+    return advise(inquiry.evidence, inquiry.found, verdict, inquiry.null, inquiry.bars)
+
+
+def describe_by_terms(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Adds to UNEXPLAINED the terms that describe the remaining gap."""
+    if not inquiry.further or verdict.answer != "UNEXPLAINED":
+        return verdict
+    from fishmj.gap.terms.select import describe
+
+    inquiry.say("searching for forces that describe the gap")
+    return replace(verdict, terms=describe(inquiry.evidence, inquiry.null, inquiry.seed))
+
+
+def with_missed_sizes(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Adds to AGREES the sizes of effects that could have been missed, at the cost of a few evaluations.
+
+    Detection needs `gain`; after a round that found no more than chance it needs `certain_gain`.
+    """
+    if verdict.answer != "AGREES":
+        return verdict
+    e, found, gates = inquiry.evidence, inquiry.found, inquiry.gates
+    asked = max(gates.certain_gain, gates.gain) if found.best.names else gates.gain
+    return replace(verdict, missed=missed_sizes(e.subset(), found.base.row, asked))
+
+
+ADVICE = {  # steps that only add to an answer which has been given
+    "the choice of the next experiment": propose_experiment,
+    "the description of the gap by forces": describe_by_terms,
+    "the sizes of effects that could have been missed": with_missed_sizes,
+}
 
 
 def unrepeatable(trials: list[Trial], e: Likelihood) -> str:

@@ -11,7 +11,7 @@ Exit codes: 0 an answer, 2 bad input, 3 records too few, too short or too quiet,
 """
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from fishmj.gap.records import datasets
 from fishmj.gap.search import healthy_swims
 from fishmj.gap.search.likelihood import likelihood_of
 from fishmj.gap.thresholds import frozen
+from fishmj.gap.verdict import Verdict
 from fishmj.gap.wording import level
 from fishmj.gap.workflow import Inquiry, compile_kernel, investigate
 from fishmj.log import Trial
@@ -94,13 +95,22 @@ def main(argv: list[str]) -> int:
         if args.json:
             console.emit_json(asdict(lacking) | {"skipped": given.broken})
         return console.CANNOT_TELL
+
+    def answered(inquiry: Inquiry) -> None:
+        """Writes and prints the answer before any advice is computed."""
+        if args.out:
+            write_answer(inquiry.verdict, args.out, context_of(inquiry, args, given))
+        first.append(inquiry.verdict.text())
+        console.say(*first)
+
+    first: list[str] = []
     try:
         with interrupt.keeping(words):
-            inquiry = search(args, robot, given, notes, healthy)
+            inquiry = search(args, robot, given, notes, healthy, answered)
     except admission.TooDifferent as different:
         return different.report(args.json, skipped=given.broken)
     with interrupt.keeping(words):
-        console.say(inquiry.verdict.text(), *speeds(inquiry))
+        console.say(*added_lines(inquiry.verdict.text(), first), *speeds(inquiry))
         if args.out:
             console.say(f"written: {', '.join(write(inquiry, args.out, context_of(inquiry, args, given)))}")
     if args.json:
@@ -108,10 +118,17 @@ def main(argv: list[str]) -> int:
     return console.OK
 
 
+def added_lines(text: str, before: Sequence[str]) -> list[str]:
+    """Lines of `text` that were not printed before."""
+    printed = {line for old in before for line in old.splitlines()}
+    return [line for line in text.splitlines() if line not in printed]
+
+
 def speeds(inquiry: Inquiry) -> list[str]:
     """Line on the swimming speeds of the searched records; empty without steady swims."""
     e = inquiry.evidence
-    text = speeds_text(steady_speeds(e.records, e.model.predict(e.records, inquiry.found.base.row)))
+    measure = lambda: speeds_text(steady_speeds(e.records, e.model.predict(e.records, inquiry.found.base.row)))
+    text = console.after_answer("the comparison of swimming speeds", measure, "")
     return [f"  {text}"] if text else []
 
 
@@ -159,8 +176,11 @@ def absorbed(args, given: Taken) -> tuple[str, ...]:
     return (note,)
 
 
-def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = ()) -> Inquiry:
-    """Searches the admitted trials. healthy: swims of the water's calibration.
+def search(
+    args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = (),
+    answered: Callable[[Inquiry], None] = lambda inquiry: None,
+) -> Inquiry:  # fmt: skip
+    """Searches the admitted trials. healthy: swims of the water's calibration. answered: as for `investigate`.
 
     Raises TooDifferent: the gap is larger than any missing effect explains.
     """
@@ -186,6 +206,7 @@ def search(args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), health
         say=console.say,
         bars=progress.terminal_bar,
         admit=lambda e: admission.admit(e, args.anyway),
+        answered=answered,
         notes=notes,
     )
 
@@ -204,13 +225,19 @@ def context_of(inquiry: Inquiry, args, given: Taken) -> dict:
     return {"model": model, "data": str(args.data.resolve()), **hashes, "judged": inquiry.judged, **drawn}
 
 
+def write_answer(verdict: Verdict, folder: Path, context: dict, patched: str = "") -> None:
+    """Writes verdict.json. patched: name of the patched model. Models of an earlier search are removed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if not patched and Path(context["model"]).resolve().parent != folder.resolve():  # the searched model itself stays
+        clear(folder, "model.patched.*", "model.rejected-*.toml")
+    write_json(folder / "verdict.json", verdict.plain() | {"context": context, "patched_model": patched})
+
+
 def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
-    """Writes verdict.json, report.html, report.json, and the patched (or the rejected) model. context: of the search."""
+    """Writes verdict.json, the patched (or the rejected) model, report.html and report.json. context: of the search."""
     from fishmj.gap import report
 
-    folder.mkdir(parents=True, exist_ok=True)
-    if Path(context["model"]).resolve().parent != folder.resolve():  # the searched model itself stays
-        clear(folder, "model.patched.*", "model.rejected-*.toml")  # answers of an earlier search
+    write_answer(inquiry.verdict, folder, context)
     verdict, model = inquiry.verdict.plain(), inquiry.evidence.model
     some = [r for r in inquiry.records if r.name in context["judged"]]
 
@@ -218,7 +245,9 @@ def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
         evidence = likelihood_of(model, some, null_of(context["null"]))
         return measured(evidence, [model.row(version) for version in versions])
 
-    done = settle(verdict, context, measure, folder / "model.patched.toml", folder)
-    patched = done.path.name if done.path and done.accepted else ""
-    write_json(folder / "verdict.json", verdict | {"context": context, "patched_model": patched})
-    return ["verdict.json", *report.write(inquiry, folder), *([done.path.name] if done.path else [])]
+    patch = lambda: settle(verdict, context, measure, folder / "model.patched.toml", folder)
+    done = console.after_answer("the patched model", patch, None)
+    if done and done.path and done.accepted:
+        write_answer(inquiry.verdict, folder, context, done.path.name)
+    pages = console.after_answer("the report", lambda: report.write(inquiry, folder), [])
+    return ["verdict.json", *pages, *([done.path.name] if done and done.path else [])]

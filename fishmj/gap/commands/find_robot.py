@@ -6,7 +6,7 @@ LOGS has a column for each joint's position and each actuator's command (records
 import hashlib
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,18 +69,28 @@ def find(args: Any) -> int:
     robot, files, trials, broken = read_logs(args)
     if len(trials) < 2:
         raise LogError(f"{args.data}: {len(trials)} log can be read; at least two are needed: one to fit, one to validate")
-    with interrupt.keeping(words):
-        inquiry = search(robot, trials, args)
-        place = place_of(inquiry)
+
+    def answered(inquiry: Inquiry, place: RobotLocalisation | None = None) -> dict:
+        """Writes the answer and returns it for JSON."""
         told = told_of(inquiry, place)
-        console.say(inquiry.verdict.text(), *(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
-        console.say(f"  {place_text(inquiry.verdict, place)}")
         if args.out:
             args.out.mkdir(parents=True, exist_ok=True)
             rest = dict(zip(robot.sites("joint"), inquiry.evidence.model.rest, strict=True))
             write_json(args.out / "verdict.json", told | {"context": context_of(args, robot, files, inquiry) | {"rest": rest}})
-            page = write_robot_page(inquiry, place, told["by_effect"], args.out)
-            console.say(f"written: verdict.json, {page}")
+        return told
+
+    with interrupt.keeping(words):
+        inquiry = search(robot, trials, args, answered)
+        console.say(inquiry.verdict.text())
+        answered(inquiry)
+        place = console.after_answer("the place of the gap", lambda: place_of(inquiry), None)
+        told = answered(inquiry, place)
+        console.say(*(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
+        if place is not None:
+            console.say(console.after_answer("the place of the gap", lambda: f"  {place_text(inquiry.verdict, place)}", ""))
+        if place is not None and args.out:
+            page = lambda: write_robot_page(inquiry, place, told["by_effect"], args.out)
+            console.say(f"written: verdict.json, {console.after_answer('the report', page, 'no report')}")
     if args.json:
         console.emit_json(told | {"skipped": broken, "notes": list(robot.notes)})
     return console.OK
@@ -200,8 +210,10 @@ def _inline(column: Column | Stamp) -> str:
 
 
 @one_blas_thread()
-def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
-    """Searches the logs."""
+def search(
+    robot: RobotDescription, trials: list, args: Any, answered: Callable[[Inquiry], Any] = lambda inquiry: None
+) -> Inquiry:
+    """Searches the logs. answered: as for `investigate`; equivalent effects are compared after it."""
     gates = robot_gates()
     null = RobotNull(args.null_runs, args.noise, args.seed)
     records = robot_records(trials, robot.dt, robot.channels)
@@ -228,10 +240,12 @@ def search(robot: RobotDescription, trials: list, args: Any) -> Inquiry:
         seed=args.seed,
         say=console.say,
         bars=progress.terminal_bar,
+        answered=answered,
         notes=robot.notes,
     )
     e = found.evidence
-    verdict = with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
+    compare = lambda: with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
+    verdict = console.after_answer("the comparison with equivalent effects", compare, found.verdict)
     return replace(found, verdict=without_stand_in(verdict))
 
 
@@ -356,9 +370,7 @@ def place_text(verdict: Verdict, place: RobotLocalisation) -> str:
     return f"{place.text}{'; the stated tolerances explain all of it' if explained else ''}"
 
 
-def told_of(inquiry: Inquiry, place: RobotLocalisation) -> dict:
-    """The answer for JSON: the verdict, the answer for each effect, and the place of the gap."""
-    return inquiry.verdict.plain() | {
-        "by_effect": by_effect(inquiry.verdict),
-        "localisation": place._asdict() | {"text": place.text},
-    }
+def told_of(inquiry: Inquiry, place: RobotLocalisation | None) -> dict:
+    """The answer for JSON: the verdict, the answer for each effect, and the place of the gap, once known."""
+    where = {"localisation": place._asdict() | {"text": place.text}} if place else {}
+    return inquiry.verdict.plain() | {"by_effect": by_effect(inquiry.verdict)} | where

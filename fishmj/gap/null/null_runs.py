@@ -78,7 +78,8 @@ class SimulatedNull:
                 kept |= mass_properties.null(record.weighed, self.runs, self.seed)
             for b in layout.blocks:
                 if b.record == i:
-                    values = kept[f"{b.sensor}{b.column}"]
+                    if (values := kept.get(f"{b.sensor}{b.column}")) is None:
+                        raise LogError(f"record {record.name}: the null runs of its experiment have no sensor {b.sensor!r}")
                     grid = np.arange(values.shape[1])
                     for run in range(self.runs):
                         out[run, b.where] = np.interp(b.window, grid, values[run])
