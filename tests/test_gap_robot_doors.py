@@ -292,6 +292,23 @@ def test_degrees_taken_for_radians_are_refused_without_a_word_of_mujoco(arm, fol
     assert "unstable" not in "".join(capfd.readouterr()) and not list(tmp_path.iterdir())
 
 
+def test_normalised_positions_and_commands_are_refused(folder):
+    """-10 to 10 of the calibrated range, which one factor turns into radians."""
+    model = ARM.replace("<motor", "<position kp='5' kv='0.2'")
+    robot, records = opened(written(folder / "servo_arm.xml", model), write_logs(folder / "servo", model, logs=2, seconds=2.0))
+    assert mistakes(robot, records) == []
+    scaled = [_of_angles(r, np.full(2, 6.4))._replace(commands=6.4 * r.commands) for r in records]
+    with pytest.raises(LogError, match=r"in a unit of their own \(times about 0\.[1-3]\).*state their unit, or scale"):
+        refuse_mistakes(robot, scaled)
+
+
+def test_joint_at_a_stop_is_no_mistake(folder, arm):
+    """No other unit explains an elbow that an obstacle holds."""
+    stopped = edited(elbow_joint='range="-0.05 0.05" limited="true" solreflimit="0.02 1"')
+    robot, records = opened(arm, write_logs(folder / "stopped", stopped, logs=3, seconds=2.0))
+    assert mistakes(robot, records) == []
+
+
 def test_joint_that_never_moves_is_doubted(described_arm):
     robot, records = described_arm
     values = records[0].joint.values * [1.0, 0.0] + [0.0, 0.3]

@@ -17,6 +17,7 @@ from fishmj.base.errors import LogError
 from fishmj.gap.decide.decide import decide
 from fishmj.gap.decide.implausible import advice
 from fishmj.gap.decide.intervals import missed_sizes
+from fishmj.gap.localise.swimming_speed import speed_errors, steady_speeds
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.null.null_runs import SimulatedNull
 from fishmj.gap.null.robot_null import RobotNull
@@ -29,7 +30,7 @@ from fishmj.gap.search.likelihood import Likelihood, draws, likelihood_of
 from fishmj.gap.search.stepwise import Selection, forward_select, split
 from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
-from fishmj.gap.wording import level
+from fishmj.gap.wording import level, percent
 from fishmj.log import Trial
 from fishmj.log.replicates import RATIO, groups
 
@@ -39,7 +40,7 @@ class Inquiry:
     """State of one search, for the vetoes and for the report.
 
     verdict: that of the gates, then as changed by each veto. unseen: (L,) bool over `records`: those held out of every decision;
-    the others are those of `evidence`. further, seed, say, bars, notes: as for `investigate`.
+    the others are those of `evidence`. further, speed_error, seed, say, bars, notes: as for `investigate`.
     """
 
     verdict: Verdict
@@ -52,6 +53,7 @@ class Inquiry:
     null: Any  # SimulatedNull, or RobotNull of a robot in MJCF
     swims: Likelihood | None
     further: bool
+    speed_error: float | None
     seed: int
     say: Callable[[str], None]
     bars: Bars
@@ -86,6 +88,7 @@ def investigate(
     page: dict | None = None,
     mass_known: bool = True,
     healthy: HealthySwims | None = None,
+    speed_error: float | None = None,
     seed: int = 0,
     further: bool = False,
     say: Callable[[str], None] = lambda text: None,
@@ -101,6 +104,7 @@ def investigate(
         mass_known: the description's mass counts as weighed if the page has no scales.
         healthy: result of the calibration swims (search/healthy_swims.py): the usual gap of this robot and its remaining
             uncertainty; None: not measured.
+        speed_error: mean relative speed error of the water's calibration on swims outside its fit; None: not calibrated.
         further: after CLASS, also search for the deciding experiment; after UNEXPLAINED, for terms that describe the gap.
         bars: progress bars. admit: is called with the likelihood before the search and may raise. answered: is called with the
             answer, before any advice is computed. notes: for the report.
@@ -129,7 +133,9 @@ def investigate(
         say(f"baseline misfit on the calibration swims: {left}; gaps up to {usual} are usual for this robot")
     found = forward_select(e, gates, split(seen, seed), say, bars)
     verdict = decide(e, found, gates)
-    inquiry = Inquiry(verdict, e, found, gates, trials, records, unseen, null, swims, further, seed, say, bars, notes)
+    inquiry = Inquiry(
+        verdict, e, found, gates, trials, records, unseen, null, swims, further, speed_error, seed, say, bars, notes
+    )
     for veto in VETOES:
         inquiry = replace(inquiry, verdict=veto(inquiry.verdict, inquiry))
     answered(inquiry)
@@ -191,6 +197,27 @@ def ask_unseen_records(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     return replace(verdict, answer="UNEXPLAINED", reason=f"{why}; the best is tentative")
 
 
+def require_calibrated_speed(verdict: Verdict, inquiry: Inquiry) -> Verdict:
+    """Veto: UNEXPLAINED in place of AGREES if most steady swims are off by more than the water's calibration explains.
+
+    The scatter of healthy robots in other waters is wider than the error of a robot whose own water was calibrated.
+    """
+    if verdict.answer != "AGREES" or not inquiry.speed_error:
+        return verdict
+    model, records = inquiry.evidence.model, inquiry.records
+    errors = speed_errors(steady_speeds(records, model.predict(records, inquiry.found.base.row)))
+    allowed = thresholds().workflow.speed_error * inquiry.speed_error
+    beyond = int(max(np.sum(errors > allowed), np.sum(errors < -allowed)))
+    if 2 * beyond <= len(errors):
+        return verdict
+    middle = float(np.median(errors))
+    verdict = replace(verdict, gates=verdict.gates | {"speed": middle, "speed_allowed": allowed})
+    swims = f"swims {percent(abs(middle))} {'faster' if middle > 0 else 'slower'} than the calibrated model"
+    many = f"in {beyond} of {len(errors)} steady swims by more than {percent(allowed)}"
+    why = f"the calibration is off by {percent(inquiry.speed_error)} on average, and no effect of the catalogue explains the rest"
+    return replace(verdict, answer="UNEXPLAINED", reason=f"{swims}, {many}; {why}")
+
+
 def require_smaller_torques(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     """Veto for a robot in MJCF: an effect is named only if the unexplained torque shrinks where it acts."""
     model = inquiry.evidence.model
@@ -229,9 +256,10 @@ def require_residual_at_floor(verdict: Verdict, inquiry: Inquiry) -> Verdict:
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 
-# The vetoes in the order of rows 20 to 22 of docs/search/gap.md; two are for robots in MJCF
+# The vetoes in the order of rows 20 to 23 of docs/search/gap.md; two are for robots in MJCF
 VETOES = (
     *(challenge_by_free_forces, require_repeatability, require_residual_at_floor, require_smaller_torques, ask_unseen_records),
+    require_calibrated_speed,
 )
 
 

@@ -364,15 +364,48 @@ def held_out(
         the records without repeats, and pairs of a repeat and its original.
     """
     beside = folder.with_name(folder.name + FRESH)
+    places = [folder] if args.data or not (beside / MANIFEST).is_file() else [folder, beside]
     records, repeats = [], []
-    for place in [folder] if args.data or not (beside / MANIFEST).is_file() else [folder, beside]:
-        data = open_dataset(place, test=True)
+    for data in of_its_water(model, [open_dataset(place, test=True) for place in places], args.slip):
         if not data.whole:
-            console.warn(f"judged on {place.name}'s first test episodes, which are installed; its other ones are {SOURCES} only")
+            console.warn(
+                f"judged on {data.folder.name}'s first test episodes, which are installed; its other ones are {SOURCES} only"
+            )
         slip = slip_of(data, args.slip, model)
         records += records_of(data, robot, "test", slip)
         repeats += repeats_of(data, slip)
     return records, repeats
+
+
+def of_its_water(model: HydroModel | None, sets: list[SegmentDataset], asked: float | None) -> list[SegmentDataset]:
+    """Data sets with test segments of the water that `model` was fitted to: its slip ratio, box and boundary.
+
+    asked: --slip. With it all sets are used, with a warning where they are of another water.
+
+    Raises DatasetError: no set has such segments.
+    """
+    if model is None or not model.dataset.get("grid"):  # nothing was fitted
+        return sets
+    water = lambda grid, slip: (round(float(slip), 9), grid.get("domain", grid.get("grid")), grid.get("boundary", "plain"))
+    words = lambda slip, box, edge: f"slip {slip:g} in {box}" + (f" with boundary {edge}" if edge != "plain" else "")
+    tests = lambda data: {water(meta["grid"], meta["grid"]["slip"]) for meta in data.about.values() if meta["split"] == "test"}
+    own = water(model.dataset, model.slip)
+    if asked is None and (found := [data for data in sets if own in tests(data)]):
+        return found
+    there = sorted({at for data in sets for at in tests(data) if asked in (None, at[0])})
+    if asked is not None and own in there:
+        return sets
+    names = " and ".join(str(data.folder) for data in sets)
+    text = f"{model.name} was fitted at {words(*own)}; test swims of {names} are at {', '.join(words(*at) for at in there)}"
+    if asked is not None:
+        console.warn(f"{text}: the check is of another water, as --slip {asked:g} asks")
+        return sets
+    folder = f"runs/{model.name}-test"
+    solve = f"--fresh-test 1 --all-at-slip {own[0]:g} --domain {own[1]} --boundary {own[2]} --out {folder}"
+    raise DatasetError(
+        f"{text}. Solve test swims of its own water: fishmj hydro_fit collect {solve}; then add --data {folder}."
+        f" To check it against another water, name that: --slip {there[-1][0]:g}"
+    )
 
 
 def calibrate(robot: Robot, folder: Path, args) -> dict:

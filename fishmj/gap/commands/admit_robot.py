@@ -2,8 +2,8 @@
 
 The described model predicts some segments (records/shooting.py), once as logged and once with each possible mistake undone:
 
-    two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; degrees for radians;
-    commands earlier or later; thrusters in another order; of a free base's pose the mistakes of `POSES`
+    two joints' positions or commands exchanged; one negated, or both; a quarter or half a turn added; degrees for radians, or one
+    factor for all of both; commands earlier or later; thrusters in another order; of a free base's pose the mistakes of `POSES`
 
 A mistake is reported if undoing it reduces the mean square error by a factor FAR. A search would name an effect that imitates it.
 """
@@ -27,12 +27,15 @@ from fishmj.gap.records.shooting import RobotRecord, thinned
 from fishmj.gap.wording import number
 
 FAR = 3.0  # factor by which the mean square error must fall
+EXPLAINED = 1.0  # the same with the mistake undone: above it the logs are no better explained than by a robot that rests
 CLOSE = 0.01  # mean square error over that of the movement: below it the logs are not doubted
 PROBED = 16  # segments
 # s that commands come later than logged; up to 0.2 s it is an effect
 SHIFTS = (-0.5, -0.4, -0.3, -0.2, -0.15, -0.1, -0.06, -0.03, 0.25, 0.3, 0.4, 0.5)
 TURNS = {"a quarter turn": 0.5 * np.pi, "a quarter turn back": -0.5 * np.pi, "half a turn": np.pi}
 OUTSIDE, MARGIN = 0.1, 0.1  # share of readings outside a joint's range; least excess, as a share of the range
+REACH = 4.0 * np.pi  # rad, largest angle of a joint in another unit
+FACTORS = tuple(float(x) for x in np.geomspace(0.01, 0.5, 10))  # of normalised positions and commands, such as -100 to 100
 UNMOVED = 1e-18  # rad^2 or m^2, mean square movement of a joint that does not move
 MOST_ORDERS = 4  # up to so many thrusters every order is tried; with more, only exchanged pairs
 STILL, TURNED, NOISE = 2e-3, 5e-3, 8.0  # m, rad: largest movement of a held base; standard deviations of its noise
@@ -141,14 +144,16 @@ def mistakes(robot: RobotDescription, records: Sequence[RobotRecord], bars: prog
     with bars(sum(1 for _ in undone(robot, few)), "mistakes in the logs", "tried") as bar:
         for i, (what, remedy, changed) in enumerate(undone(robot, few)):
             other = _error(changed, model) / np.maximum(_error(changed, None), UNMOVED)
-            found.append(Mistake(what, remedy, _ratio(plain / still, other)))
+            if np.mean(other) < EXPLAINED:
+                found.append(Mistake(what, remedy, _ratio(plain / still, other)))
             bar.update(i + 1)
     rows = np.tile(model.null, (len(SHIFTS), 1))
     rows[:, model.index("command_latency", "delay")] = SHIFTS
     for shift, error in zip(SHIFTS, _errors(few, model.predict(few, rows)), strict=True):
         late = f"{1000 * abs(shift):.0f} ms {'later' if shift > 0 else 'earlier'}"
         remedy = "commands and positions have stamps of different clocks; record both with one clock"
-        found.append(Mistake(f"commands {late} than logged", remedy, _ratio(plain / still, error / still)))
+        if np.mean(error / still) < EXPLAINED:
+            found.append(Mistake(f"commands {late} than logged", remedy, _ratio(plain / still, error / still)))
     return sorted((m for m in found if m.ratio > FAR), key=lambda m: -m.ratio)
 
 
@@ -184,10 +189,17 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undo
             )
     angles = [robot.model.jnt_type[j.joint] == mujoco.mjtJoint.mjJNT_HINGE for j in robot.joints]
     hinges = np.array([*([False] * 6 if robot.base else []), *angles])
+    servos = bool(robot.model.actuator_biasprm[:, 1].any())
+    for factor in FACTORS if servos and any(angles) else ():
+        both = [_of_angles(r, np.where(hinges, factor, 1.0))._replace(commands=factor * r.commands) for r in records]
+        scale = f"they may be normalised; state their unit, or scale (rad by one of it), for both {table}"
+        yield f"reading positions and commands in a unit of their own (times about {factor:.1g})", scale, both
     for what, unit, factor in (("degrees", "deg", np.pi / 180), ("radians", "rad", 180 / np.pi)) if any(angles) else ():
+        if factor * max(float(np.abs(r.angles[:, hinges]).max()) for r in records) > REACH:
+            continue  # whatever moves so fast keeps its rate for a segment: any model seems right
         turns = [_of_angles(r, np.where(hinges, factor, 1.0)) for r in records]
         yield f"reading positions in {what}", f'state unit = "{unit}", or the scale of a gear, for the joints {table}', turns
-        if robot.model.actuator_biasprm[:, 1].any():
+        if servos:
             both = [r._replace(commands=r.commands * factor) for r in turns]
             yield f"reading positions and commands in {what}", f'state unit = "{unit}" for both {table}', both
             asked = [r._replace(commands=r.commands * factor) for r in records]

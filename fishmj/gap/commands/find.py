@@ -176,6 +176,13 @@ def absorbed(args, given: Taken) -> tuple[str, ...]:
     return (note,)
 
 
+def speed_error_of(model: str) -> float | None:
+    """Mean relative speed error that `calibrate water` wrote into a description; None if it did not, or another wrote none."""
+    block = read_toml(resolve(model, robot=True)).get("calibration", {}).get("water", {}).get("speed_error", {})
+    value = block.get("value") if isinstance(block, dict) else None
+    return float(value) if isinstance(value, int | float) and 0.0 < value < 10.0 else None
+
+
 def search(
     args, robot: Robot, given: Taken, notes: tuple[str, ...] = (), healthy: Sequence[Trial] = (),
     answered: Callable[[Inquiry], None] = lambda inquiry: None,
@@ -199,6 +206,7 @@ def search(
         gates=frozen() if args.most is None else replace(frozen(), max_effects=args.most),
         null=null,
         healthy=own,
+        speed_error=speed_error_of(args.model),
         page=datasets.page_in(args.data),
         mass_known=not args.mass_unknown,
         seed=args.seed,

@@ -22,6 +22,7 @@ from fishmj.base.errors import ConfigError, LogError, StoreError
 from fishmj.base.store import read_npz, sha256, write_json, write_npz, write_text
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
+from fishmj.gap.decide.implausible import OVERSIZED, with_oversized
 from fishmj.gap.decide.indistinguishable import with_indistinguishable
 from fishmj.gap.localise.robot_localisation import RobotLocalisation, localise_robot
 from fishmj.gap.models.rigid_robot import RigidRobot
@@ -57,6 +58,7 @@ from fishmj.log.limits import bare
 from fishmj.log.trial import readings_sha256
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
+SHOWN_AS_ZERO = 0.005  # a probability below it is printed as 0.00
 MOST_SAID = 10  # largest number of printed notes on logs
 HOLE = 10  # steps between two rows, in units of the usual one, from which rows are missing
 
@@ -246,7 +248,7 @@ def search(
     e = found.evidence
     compare = lambda: with_indistinguishable(found.verdict, e.model, e.records, found.gates, args.seed)
     verdict = console.after_answer("the comparison with equivalent effects", compare, found.verdict)
-    return replace(found, verdict=without_stand_in(verdict))
+    return replace(found, verdict=without_stand_in(with_oversized(verdict, e.model.active)))
 
 
 def with_kept_errors(model: RigidRobot, trials: Sequence[Trial], seen: Sequence[RobotRecord], null: RobotNull) -> RigidRobot:
@@ -325,7 +327,7 @@ def beside_unbelievable(verdict: Verdict) -> set[str]:
 
     Those are all effects; on a robot of many joints, only the ones at the same joint.
     """
-    names = [e.name for e in verdict.effects]
+    names = [e.name for e in (*verdict.effects, *verdict.tentative)]
     bad = {name for name in names if any(w.startswith(f"{title(name)}: ") for w in verdict.warnings)}
     if at_many_joints(names):
         return {name for name in names if any(site_of(b) in ("", site_of(name)) for b in bad)}
@@ -341,18 +343,24 @@ def by_effect(verdict: Verdict) -> dict[str, str]:
 
 
 def without_stand_in(verdict: Verdict) -> Verdict:
-    """The verdict, changed from CLASS to UNEXPLAINED if no effect has a rival and one has an implausible value.
+    """The verdict, changed to UNEXPLAINED if an accepted value, also of an effect that is counted in, is implausible.
 
-    On a robot of many joints, effects at other joints stay named.
+    An implausible value that is not too large is accepted beside a possible rival. On a robot of many joints, effects at other
+    joints stay as they are.
     """
-    if verdict.answer != "CLASS" or verdict.rivals or any(e.p_best < frozen().p_best for e in verdict.effects):
+    possible = any(r["p_best"] >= SHOWN_AS_ZERO for r in verdict.rivals) or any(
+        e.p_best < frozen().p_best for e in verdict.effects
+    )
+    oversized = any(OVERSIZED in w for w in verdict.warnings)
+    if verdict.answer not in ("NAMED", "CLASS") or not oversized and (possible or verdict.answer == "NAMED"):
         return verdict
     doubtful = beside_unbelievable(verdict)
     if kept := tuple(e for e in verdict.effects if e.name not in doubtful):
         others = tuple(e for e in verdict.effects if e.name in doubtful)
         why = "explains records that it was not fitted to, and nothing else does; effects with an implausible value are tentative"
-        return replace(verdict, answer="NAMED", reason=why, effects=kept, tentative=(*verdict.tentative, *others))
-    why = "the best effect has an implausible value (see the warning) and probably imitates something else; it is tentative"
+        answer, why = ("CLASS", verdict.reason) if possible else ("NAMED", why)
+        return replace(verdict, answer=answer, reason=why, effects=kept, tentative=(*verdict.tentative, *others))
+    why = "an accepted effect has an implausible value (see the warning) and probably imitates something else; it is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
 
 

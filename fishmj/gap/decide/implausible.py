@@ -1,9 +1,15 @@
-"""Advice on an effect of an implausible size: another record of the same kind would show the same."""
+"""Effects of an implausible size, and advice on them: another record of the same kind would show the same."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from fishmj.effects.effect import Effect
-from fishmj.gap.wording import title
+from fishmj.gap.decide.decide import size_parameters
+from fishmj.gap.thresholds import thresholds
+from fishmj.gap.verdict import Verdict
+from fishmj.gap.wording import quantity, title
+
+OVERSIZED = "implausibly large"
 
 ACTS_ON = {  # numbers of a description by Parameter.of, else by stage
     "torque": "[servo] torque and kp",
@@ -28,3 +34,20 @@ def advice(found: Iterable[Effect]) -> str:
     numbers = "; ".join(dict.fromkeys(ACTS_ON[of(e)] for e in found))
     names = " and ".join(title(e.name) for e in found)
     return f"Check the numbers that {names} would change: {numbers}. Another record of the same kind would show the same."
+
+
+def with_oversized(verdict: Verdict, stack) -> Verdict:
+    """The verdict with a warning for each accepted value that is far above those of known robots, named or only counted in.
+
+    stack: `model.active`, whose effects state typical values.
+    """
+    if verdict.answer not in ("NAMED", "CLASS"):
+        return verdict
+    warnings, most = [], thresholds().torques.oversize
+    for found in (*verdict.effects, *verdict.tentative):
+        for p in size_parameters(stack.effect(found.name)):
+            value, usual = found.parameters[p.name].value, max(abs(t - p.null) for t in p.typical)
+            if abs(value - p.null) > most * usual:
+                about = f"{title(found.name)}: {title(p.name)} = {quantity(value, p.unit)} is {OVERSIZED}"
+                warnings.append(f"{about}, known robots have up to {quantity(usual, p.unit)}")
+    return replace(verdict, warnings=(*verdict.warnings, *warnings))

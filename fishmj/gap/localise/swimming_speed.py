@@ -7,11 +7,17 @@ import numpy as np
 SLOWEST = 0.02  # m/s: a slower record is no swim
 STEADY = 0.2  # of the speed, by which the last two quarters may differ
 FEWEST = 8  # poses in a quarter
+PACE = 1.0  # s between two positions of a path
 
 
 def speed_of(t: np.ndarray, place: np.ndarray) -> float:
-    """Speed over ground [m/s] of straight lines through places (K, 2) at the times t (K,)."""
-    return float(np.hypot(*np.polyfit(t - t.mean(), place, 1)[0]))
+    """Mean speed over ground [m/s] along a path of places (K, 2) at the times t (K,), which a turn does not shorten.
+
+    The path is that of positions `PACE` apart, which leaves out the sway of a beat.
+    """
+    marks = np.linspace(t[0], t[-1], 1 + max(round((t[-1] - t[0]) / PACE), 1))
+    x, y = (np.interp(marks, t, column) for column in place.T)
+    return float(np.hypot(np.diff(x), np.diff(y)).sum() / (t[-1] - t[0]))
 
 
 def steady_speeds(records: Sequence, predictions: Sequence[dict]) -> dict[str, tuple[float, float]]:
@@ -32,6 +38,11 @@ def steady_speeds(records: Sequence, predictions: Sequence[dict]) -> dict[str, t
         if measured >= SLOWEST and abs(one - two) <= STEADY * measured:
             out[r.name] = measured, speed_of(t[half], p["pose"][0][half, :2])
     return out
+
+
+def speed_errors(speeds: dict[str, tuple[float, float]]) -> np.ndarray:
+    """(K,) share by which each measured speed exceeds the simulated one; negative for a robot that is slower."""
+    return np.array([measured / simulated - 1.0 for measured, simulated in speeds.values() if simulated > SLOWEST])
 
 
 def speeds_text(found: dict[str, tuple[float, float]]) -> str:

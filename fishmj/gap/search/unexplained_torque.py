@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fishmj.effects import Effect, site_of
+from fishmj.gap.models.robot_description import RobotDescription
 from fishmj.gap.null.variances import Sample, score_variances
 from fishmj.gap.null.whitening import separate_blocks
 from fishmj.gap.progress import Bars, silent_bar
@@ -181,11 +182,22 @@ def torques(e: Likelihood, row: np.ndarray) -> np.ndarray:
     return np.sqrt(u[:joints]) * model.torque_error
 
 
+def torque_limits(robot: RobotDescription) -> np.ndarray:
+    """(J,) N m: largest torque of the actuator at each channel; inf without one, or without a limit of its force."""
+    m, out = robot.model, np.full(len(robot.channels), np.inf)
+    for j in robot.joints:
+        if j.actuator >= 0 and m.actuator_forcelimited[j.actuator]:
+            gear = abs(float(m.actuator_gear[j.actuator, 0])) or 1.0
+            out[robot.channels.index(j.name)] = gear * float(np.abs(m.actuator_forcerange[j.actuator]).max())
+    return out
+
+
 def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, names: tuple[str, ...]) -> Verdict:
     """Veto: an effect at a joint must halve the mean square of the unexplained torque there, other effects that of all joints.
 
     Otherwise it is fitted but not named; if no effect is left, the answer is UNEXPLAINED. A torque within the allowance counts as
-    zero. A torque that remains beside a named effect is a warning.
+    zero. A torque that remains beside a named effect is a warning. Nothing is named if the torque that remains at any joint is
+    more than its actuator can give, or most of the joint's usual torque: an obstacle loads all joints of an arm.
 
     names: of the joints.
     """
@@ -203,6 +215,11 @@ def require_smaller_torques(verdict: Verdict, e: Likelihood, row: np.ndarray, na
     words = " and ".join(f"{quantity(x, model.robot.force_unit(n))} at {title(n)}" for n, x in left.items())
     if verdict.answer == "AGREES":
         return replace(verdict, answer="UNEXPLAINED", reason=f"torques of {words} are explained by no effect of the catalogue")
+    most = np.minimum(torque_limits(model.robot), limits.usual * model.sizes.torque)
+    if outside := [n for n, x, beyond in zip(names, after, most, strict=True) if n in left and x > beyond]:
+        where = " and ".join(map(title, outside))
+        why = f"something outside the catalogue acts at {where}: torques of {words} remain; what is listed is tentative"
+        return replace(verdict, answer="UNEXPLAINED", reason=why)
     shares = {n: (b / a) ** 2 if n in left else 0.0 for n, a, b in zip(names, before, after, strict=True)}
     everywhere = float(np.sum((after / allowed) ** 2) / np.sum((before / allowed) ** 2))
     share = {found.name: shares.get(site_of(found.name), everywhere) for found in verdict.effects}
