@@ -59,7 +59,7 @@ def misfit(model, records, row) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------------------------- descriptions
 REFUSED = {
     "a ball": ('<joint name="shoulder" type="hinge" axis="0 1 0" damping="0.06"/>', '<joint name="shoulder" type="ball"/>'),
-    "tendons": ("<actuator>", '<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon><actuator>'),
+    "passive tendons": ("<actuator>", '<tendon><fixed name="t"><joint joint="elbow" coef="1"/></fixed></tendon><actuator>'),
     "equality": ("<actuator>", '<equality><joint joint1="elbow" joint2="shoulder"/></equality><actuator>'),
     "several actuators": ("</actuator>", '<motor name="two" joint="elbow"/></actuator>'),
     "two inputs": ("</actuator>", '<pid name="two" joint="elbow" kp="1" input="pos vel"/></actuator>'),

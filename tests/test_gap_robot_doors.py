@@ -128,6 +128,19 @@ def test_calibration_finds_friction_damping_and_armature(arm, stiff_logs, tmp_pa
     assert [line for line in ARM.splitlines() if "joint name" not in line and line not in text.splitlines()] == []
 
 
+def test_written_numbers_are_fitted_with_the_others_as_stated(arm, folder):
+    """A lower arm of another mass, which stays as stated: half of the fit of all leaves 4.4 times the noise."""
+    heavy = edited(elbow_joint='frictionloss="0.06" armature="0.01"', shoulder_joint='armature="0.02"').replace(
+        'mass="0.4" diaginertia="0.003 0.003', 'mass="0.5" diaginertia="0.005 0.005'
+    )
+    robot, records = opened(arm, write_logs(folder / "heavy", heavy, logs=2, seconds=1.6))
+    found = fit_robot(robot, records)
+    told = {n.name for n in found.numbers if n.is_told}
+    assert "mass@lower" not in told and "coulomb_friction@elbow" in told
+    before, written, whole = found.misfit
+    assert whole <= written < 1.5 < before and all(n.low <= n.value <= n.high for n in found.numbers)
+
+
 def test_number_that_no_log_shows_is_left(arm, folder):
     """A motor has no damping gain, and a joint at rest tells no friction."""
     logs = write_logs(folder / "still", ARM, logs=2, seconds=1.0)
@@ -300,6 +313,13 @@ def test_normalised_positions_and_commands_are_refused(folder):
     scaled = [_of_angles(r, np.full(2, 6.4))._replace(commands=6.4 * r.commands) for r in records]
     with pytest.raises(LogError, match=r"in a unit of their own \(times about 0\.[1-3]\).*state their unit, or scale"):
         refuse_mistakes(robot, scaled)
+
+
+def test_commands_beyond_their_range_are_doubted(described_arm):
+    """100 for a motor of 4 N m: in truth a current, or another unit."""
+    robot, records = described_arm
+    (told,) = doubts(robot, [r._replace(commands=r.commands * [1.0, 400.0]) for r in records])
+    assert "actuator elbow: " in told and "are outside its ctrlrange, -4 to 4: another unit, or a measured current?" in told
 
 
 def test_joint_at_a_stop_is_no_mistake(folder, arm):

@@ -12,10 +12,10 @@ from robot_arm import ARM, edited, trials_of, write_logs
 
 from fishmj import effects
 from fishmj.gap.commands import find_robot
-from fishmj.gap.commands.find_robot import by_effect, place_of, place_text, robot_gates
+from fishmj.gap.commands.find_robot import by_effect, place_of, place_text, robot_gates, servo_gains
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
-from fishmj.gap.models.robot_sizes import sizes_of
+from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
 from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import robot_records
@@ -163,6 +163,22 @@ def test_gap_is_located_once_for_the_text_and_for_json(sticky, arm, monkeypatch,
     assert find_robot.find(SimpleNamespace(out=None, json=True)) == 0 and len(located) == 1
     *said, told = capsys.readouterr().out.splitlines()
     assert f"  {located[0].text}" in said and json.loads(told)["localisation"]["text"] == located[0].text
+
+
+def test_gains_of_a_servo_are_those_of_mjcf(folder):
+    """kp alone lower by a fifth is two effects of the catalogue, and one number of the MJCF."""
+    path = folder / "servo_arm.xml"
+    path.write_text(ARM.replace("<motor", "<position kp='5' kv='0.4'"))
+    robot = read_robot(path)
+    some = [effects.robot_catalogue()[name] for name in ("servo_gain", "servo_damping_gain")]
+    ones = np.ones(2)
+    model = RigidRobot(robot, RobotSizes(ones, ones, ones, ones), some)
+    row = model.null.copy()
+    row[model.index("servo_gain@elbow", "gain")], row[model.index("servo_damping_gain@elbow", "gain")] = -0.2, 0.25
+    verdict = SimpleNamespace(effects=[SimpleNamespace(name="servo_gain@elbow")], tentative=[])
+    found = SimpleNamespace(best=SimpleNamespace(row=row))
+    inquiry = SimpleNamespace(evidence=SimpleNamespace(model=model), verdict=verdict, found=found)
+    assert servo_gains(inquiry) == ["elbow: kp 5 -> 4, kv 0.4 -> 0.4"]
 
 
 @pytest.mark.parametrize("stage", ["place_of", "place_text", "write_robot_page"])

@@ -44,6 +44,36 @@ def test_joint_is_found_by_whole_words_of_a_name(names, joints, position, comman
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        "t q_shoulder q_elbow shoulder_cmd elbow_cmd",
+        "t pos_shoulder_joint pos_elbow_joint cmd_shoulder_servo cmd_elbow_servo",
+        "t shoulder elbow cmd_shoulder cmd_elbow",
+        "t q1 q2 cmd1 cmd2",
+    ],
+)
+def test_names_of_joints_are_found_for_their_actuators(names):
+    """Joint `elbow_joint`, driven by `elbow_servo`: generic words of a name need not stand in a column's."""
+    joints, servos = ("shoulder_joint", "elbow_joint"), ("shoulder_servo", "elbow_servo")
+    found = guess_columns(names.split(), joints, servos, torques=False, driven=joints)
+    _, *position, command, last = names.split()
+    assert [c.column for c in found.joint.values()] == position and list(found.joint) == list(joints)
+    assert [c.column for c in found.actuator.values()] == [command, last] and list(found.actuator) == list(servos)
+
+
+def test_commands_named_after_the_driven_joint_are_found():
+    found = guess_columns("t q_hip q_knee hip_cmd knee_cmd".split(), ("hip", "knee"), ("m7", "m3"), False, driven=("hip", "knee"))
+    assert [c.column for c in found.actuator.values()] == ["hip_cmd", "knee_cmd"]
+
+
+@pytest.mark.parametrize("column", ["i_elbow", "iq_elbow", "i_1", "current_elbow"])
+def test_measured_currents_are_doubted(column):
+    found = guess_columns("t q_elbow tau_elbow".split(), ("elbow",), ("elbow",), torques=True)
+    map_ = {"elbow": found.actuator["elbow"].model_copy(update={"column": column})}
+    assert "commands of elbow are measured, not sent" in found._replace(actuator=map_).doubts()[0]
+
+
+@pytest.mark.parametrize(
     "names, why",
     [
         ("t pos_a pos-a pos_b tau_a tau_b", "a: pos_a or pos-a"),

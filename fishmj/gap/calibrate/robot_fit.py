@@ -6,9 +6,12 @@
 
 A parameter is identified if the standard deviation of its estimate is below half of sigma, or (except for bodies) of its change.
 Others keep their stated value, because their interval is mostly the prior. Two that compensate each other are not identified.
+The identified ones are fitted again with the others at their stated values: half of a joint fit may be worse than none. Their
+intervals keep the width of the fit of all, since the others stay uncertain.
 """
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,18 +98,50 @@ def fit_robot(
         return np.nan_to_num(whiten(raw), nan=1e6, posinf=1e6, neginf=-1e6)
 
     blocks = [Block(r.name, "", slice(*np.searchsorted(layout.record, [i, i + 1]))) for i, r in enumerate(records)]
-    with bars(PERCENT, "fit", "%", at_most=True) as bar:
-        found = fit(parameters, residual, blocks, tick=lambda share: bar.update(PERCENT * share))
-        bar.update(PERCENT)
+    start = np.array([n.start for n in free])
+
+    def fit_some(some: np.ndarray, label: str) -> LeastSquaresFit:
+        """Fit of the parameters `some` (P,) bool, with the others at their stated values."""
+
+        def of_some(thetas: np.ndarray) -> np.ndarray:
+            every = np.tile(start, (len(np.atleast_2d(thetas)), 1))
+            every[:, some] = thetas
+            return residual(every)
+
+        with bars(PERCENT, label, "%", at_most=True) as bar:
+            found = fit(list(compress(parameters, some)), of_some, blocks, tick=lambda share: bar.update(PERCENT * share))
+            bar.update(PERCENT)
+        return found
+
+    found = fit_some(np.ones(len(free), bool), "fit")
     numbers = _numbers(free, found)
-    told = np.where([n.is_told for n in numbers], found.theta, [n.start for n in free])
-    three = np.stack([[n.start for n in free], told, found.theta])
+    told, written = np.array([n.is_told for n in numbers], bool), start.copy()
+    while told.any() and not told.all():
+        again = fit_some(told, "fit of the identified numbers")
+        firm = told.copy()
+        firm[told] = [n.is_told for n in _numbers(list(compress(free, told)), again)]
+        if np.array_equal(firm, told):
+            written[told] = again.theta
+            break
+        told = firm
+    else:
+        written = np.where(told, found.theta, start)
+    numbers = tuple(_written(n, value, t) for n, value, t in zip(numbers, [n.base for n in free] + written, told, strict=True))
+    three = np.stack([start, written, found.theta])
     raw = layout.residuals(model.predict(records, rows(three)))
     errors = {name: tuple(np.sqrt(np.nanmean(raw[:, layout.channel == name] ** 2, 1)).tolist()) for name in robot.channels}
-    row = rows(told[None])[0]
+    row = rows(written[None])[0]
     misfit = tuple(np.mean(residual(three) ** 2, 1).tolist())
     left = tuple(_inert(whole, name) for name in sorted(inert))
     return RobotFit((*numbers, *left), model.model(row), float(np.round(model.delay(row), 6)), errors, misfit)
+
+
+def _written(number: FittedNumber, value: float, identified: bool) -> FittedNumber:
+    """The number at its written value, with the width of the fit of all; as it was if it is not identified."""
+    if not identified:
+        return number._replace(is_told=False)
+    move = value - number.value
+    return number._replace(value=value, low=number.low + move, high=number.high + move)
 
 
 def _still(robot: RobotDescription, records: list) -> set[str]:

@@ -28,6 +28,7 @@ from fishmj.gap.wording import number
 
 FAR = 3.0  # factor by which the mean square error must fall
 EXPLAINED = 1.0  # the same with the mistake undone: above it the logs are no better explained than by a robot that rests
+CERTAIN, OWN_UNIT = 30.0, "in a unit of their own"  # factor for a unit with a free scale: a smaller one suits many faults
 CLOSE = 0.01  # mean square error over that of the movement: below it the logs are not doubted
 PROBED = 16  # segments
 # s that commands come later than logged; up to 0.2 s it is an effect
@@ -89,7 +90,7 @@ def is_held(records: Sequence[RobotRecord]) -> bool:
 
 
 def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]:
-    """Warnings about readings outside a joint's range, jumps that are not multiples of 2 pi, and joints that never move."""
+    """Warnings about readings or commands out of range, jumps that are not multiples of 2 pi, and joints that never move."""
     out, m = [], robot.model
     for j, joint in enumerate(robot.joints, 6 if robot.base else 0):
         q = np.concatenate([r.joint.values[:, j] for r in records])
@@ -111,6 +112,12 @@ def doubts(robot: RobotDescription, records: Sequence[RobotRecord]) -> list[str]
         )
         if jump > JUMP:
             out.append(f"joint {joint.name}: jumps by {jump:.3g} rad between two readings: does its encoder wrap not at 2 pi?")
+    for a in np.flatnonzero(m.actuator_ctrllimited):
+        (low, high), sent = m.actuator_ctrlrange[a], np.concatenate([r.commands[:, a] for r in records])
+        beyond = np.mean((sent < low - MARGIN * (high - low)) | (sent > high + MARGIN * (high - low)))
+        if beyond > OUTSIDE:
+            message = f"{100 * beyond:.0f} % of its commands, up to {np.abs(sent).max():.3g}, are outside its ctrlrange"
+            out.append(f"actuator {robot.actuators[a]}: {message}, {low:.3g} to {high:.3g}: another unit, or a measured current?")
     return out + in_another_unit(robot, records)
 
 
@@ -144,8 +151,9 @@ def mistakes(robot: RobotDescription, records: Sequence[RobotRecord], bars: prog
     with bars(sum(1 for _ in undone(robot, few)), "mistakes in the logs", "tried") as bar:
         for i, (what, remedy, changed) in enumerate(undone(robot, few)):
             other = _error(changed, model) / np.maximum(_error(changed, None), UNMOVED)
-            if np.mean(other) < EXPLAINED:
-                found.append(Mistake(what, remedy, _ratio(plain / still, other)))
+            mistake = Mistake(what, remedy, _ratio(plain / still, other))
+            if np.mean(other) < EXPLAINED and (OWN_UNIT not in what or mistake.ratio > CERTAIN):
+                found.append(mistake)
             bar.update(i + 1)
     rows = np.tile(model.null, (len(SHIFTS), 1))
     rows[:, model.index("command_latency", "delay")] = SHIFTS
@@ -193,7 +201,7 @@ def undone(robot: RobotDescription, records: list[RobotRecord]) -> Iterator[Undo
     for factor in FACTORS if servos and any(angles) else ():
         both = [_of_angles(r, np.where(hinges, factor, 1.0))._replace(commands=factor * r.commands) for r in records]
         scale = f"they may be normalised; state their unit, or scale (rad by one of it), for both {table}"
-        yield f"reading positions and commands in a unit of their own (times about {factor:.1g})", scale, both
+        yield f"reading positions and commands {OWN_UNIT} (times about {factor:.1g})", scale, both
     for what, unit, factor in (("degrees", "deg", np.pi / 180), ("radians", "rad", 180 / np.pi)) if any(angles) else ():
         if factor * max(float(np.abs(r.angles[:, hinges]).max()) for r in records) > REACH:
             continue  # whatever moves so fast keeps its rate for a segment: any model seems right

@@ -20,6 +20,7 @@ from fishmj.base.compile_cache import cache_folder
 from fishmj.base.cores import one_blas_thread
 from fishmj.base.errors import ConfigError, LogError, StoreError
 from fishmj.base.store import read_npz, sha256, write_json, write_npz, write_text
+from fishmj.effects.effect import kind_of
 from fishmj.gap import progress
 from fishmj.gap.commands.admit_robot import refuse_mistakes
 from fishmj.gap.decide.implausible import OVERSIZED, with_oversized
@@ -50,7 +51,7 @@ from fishmj.gap.search.shared_effects import at_many_joints, site_of
 from fishmj.gap.search.unexplained_torque import with_measured_errors
 from fishmj.gap.thresholds import Gates, frozen, thresholds
 from fishmj.gap.verdict import Verdict
-from fishmj.gap.wording import title
+from fishmj.gap.wording import number, title
 from fishmj.gap.workflow import Inquiry, investigate, set_aside
 from fishmj.log import Trial, stacked
 from fishmj.log.importers.column_map import Column, Stamp
@@ -58,6 +59,7 @@ from fishmj.log.limits import bare
 from fishmj.log.trial import readings_sha256
 
 FISH_ONLY = {"same_robot": False, "water": "structured", "null": None, "healthy": None, "mass_unknown": False, "effects": None}
+GAINS = ("servo_gain", "servo_damping_gain")
 SHOWN_AS_ZERO = 0.005  # a probability below it is printed as 0.00
 MOST_SAID = 10  # largest number of printed notes on logs
 HOLE = 10  # steps between two rows, in units of the usual one, from which rows are missing
@@ -88,6 +90,7 @@ def find(args: Any) -> int:
         place = console.after_answer("the place of the gap", lambda: place_of(inquiry), None)
         told = answered(inquiry, place)
         console.say(*(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
+        console.say(*(f"  {line}" for line in console.after_answer("the servos' gains", lambda: servo_gains(inquiry), [])))
         if place is not None:
             console.say(console.after_answer("the place of the gap", lambda: f"  {place_text(inquiry.verdict, place)}", ""))
         if place is not None and args.out:
@@ -168,7 +171,9 @@ def guessed(robot: RobotDescription, sheet: LogTable, joints: Sequence[str], act
     """Columns of a log by name, of some joints and actuators. Raises LogError."""
     torques = not robot.model.actuator_biasprm[:, 1].any()
     units = {name: own.units.get(column, "") for name, (own, column) in sheet.columns.items()}
-    return guess_columns(list(sheet.columns), joints, actuators, torques, units, robot.base is not None)
+    of_actuator = {robot.actuators[j.actuator]: j.name for j in robot.joints if j.actuator >= 0}
+    driven = [of_actuator[name] for name in actuators] if set(actuators) <= set(of_actuator) else ()
+    return guess_columns(list(sheet.columns), joints, actuators, torques, units, robot.base is not None, driven)
 
 
 def write_map(args: Any) -> int:
@@ -362,6 +367,19 @@ def without_stand_in(verdict: Verdict) -> Verdict:
         return replace(verdict, answer=answer, reason=why, effects=kept, tentative=(*verdict.tentative, *others))
     why = "an accepted effect has an implausible value (see the warning) and probably imitates something else; it is tentative"
     return replace(verdict, answer="UNEXPLAINED", reason=why)
+
+
+def servo_gains(inquiry: Inquiry) -> list[str]:
+    """Lines of kp and kv as in MJCF, stated and fitted, of each servo with an effect on its gains."""
+    e, verdict = inquiry.evidence, inquiry.verdict
+    stated, fitted = e.model.robot.model, e.model.model(inquiry.found.best.row)
+    sites = {site_of(x.name) for x in (*verdict.effects, *verdict.tentative) if kind_of(x.name) in GAINS}
+    value = lambda m, a, k: number(-m.actuator_biasprm[a, k])
+    return [
+        f"{joint.name}: kp {value(stated, a, 1)} -> {value(fitted, a, 1)}, kv {value(stated, a, 2)} -> {value(fitted, a, 2)}"
+        for joint in e.model.robot.joints
+        if joint.name in sites and stated.actuator_biasprm[a := joint.actuator, 1]
+    ]
 
 
 def place_of(inquiry: Inquiry) -> RobotLocalisation:

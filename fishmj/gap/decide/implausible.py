@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
-from fishmj.effects.effect import Effect
+from fishmj.effects.effect import Effect, site_of
 from fishmj.gap.decide.decide import size_parameters
 from fishmj.gap.thresholds import thresholds
 from fishmj.gap.verdict import Verdict
@@ -37,14 +37,15 @@ def advice(found: Iterable[Effect]) -> str:
 
 
 def with_oversized(verdict: Verdict, stack) -> Verdict:
-    """The verdict with a warning for each accepted value that is far above those of known robots, named or only counted in.
+    """The verdict with a warning for each implausibly large value of an accepted effect, named or only counted in.
 
+    Only effects on the whole robot count, such as wind and air: typical sizes at a joint differ too much between robots.
     stack: `model.active`, whose effects state typical values.
     """
     if verdict.answer not in ("NAMED", "CLASS"):
         return verdict
     warnings, most = [], thresholds().torques.oversize
-    for found in (*verdict.effects, *verdict.tentative):
+    for found in (f for f in (*verdict.effects, *verdict.tentative) if not site_of(f.name)):
         for p in size_parameters(stack.effect(found.name)):
             value, usual = found.parameters[p.name].value, max(abs(t - p.null) for t in p.typical)
             if abs(value - p.null) > most * usual:

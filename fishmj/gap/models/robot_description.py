@@ -279,6 +279,7 @@ def _searchable(m, path: Path) -> None:
     count = len(m.actuator_trntype)  # nu counts inputs: a <pid> may have two
     on_site = [a for a in range(count) if m.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_SITE)]
     driven = [int(m.actuator_trnid[a, 0]) for a in range(count) if m.actuator_trntype[a] in joint_driven]
+    pulled = [a for a in range(count) if m.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_TENDON)]
     free = [j for j in range(m.njnt) if m.jnt_type[j] == FREE]
     others = [j for j in range(m.njnt) if m.jnt_type[j] not in (*hinged, FREE)]
     moving = m.njnt - len(free)
@@ -287,7 +288,8 @@ def _searchable(m, path: Path) -> None:
         f"{moving} joints": moving > MOST_JOINTS and f"at most {MOST_JOINTS} would work: weld the others at their logged angle",
         "a ball joint": bool(others) and "three hinges would work",
         f"{len(free)} free joints": len(free) > 1 and "one would work: leave the other bodies out",
-        "tendons": m.ntendon > 0 and "actuators that drive joints would work",
+        "tendons that an actuator drives": bool(pulled) and "actuators that drive joints would work",
+        "passive tendons": m.ntendon > 0 and not pulled and "stiffness and damping of the joints in their place would work",
         "equality constraints": m.neq > 0 and "an open chain would work: cut the loop, or weld what does not move",
         "no actuator": m.nu == 0 and "a motor or position actuator for each commanded joint would work",
         "an actuator with two inputs": count != m.nu and "one whose only input is the logged command would work",

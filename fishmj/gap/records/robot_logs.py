@@ -55,7 +55,8 @@ OTHERS = {"dq", "qd", "qvel", "qacc", "fric", "voltage", "error"} | header.RATE 
 OTHERS |= header.TEMPERATURE | header.CURRENT
 SMOOTHED = {"filt", "filtered", "smooth", "smoothed"}
 MEASURED = {"meas", "measured", "actual", "act", "present", "state", "states", "ist", "gemessen", "mesure", "medido"}
-CURRENT = {"currents", "load", "pwm"} | header.CURRENT
+CURRENT = {"currents", "load", "pwm", "i", "iq"} | header.CURRENT
+GENERIC = {"joint", "actuator", "act", "drive", "link", "hinge", "axis"} | header.SERVO  # in a site's name, but not in a column's
 MILLI = {"mN": 1e-3, "mN m": 1e-3}  # N, N m
 POSE = (*PLACE, *QUATERNION)
 PLACED = {"pos", "position", "base", "pose", "p", "translation", "mocap", "location"}
@@ -141,12 +142,13 @@ def guess_columns(
     torques: bool,
     units: Mapping[str, str] | None = None,
     free: bool = False,
+    driven: Sequence[str] = (),
 ) -> RobotColumns:
     """Columns by their names.
 
     Args:
         torques: True if the model's actuators take torques, not positions. units: stated by the file beside the names.
-        free: the model has a free base.
+        free: the model has a free base. driven: joint that each actuator drives, whose name its commands may have.
 
     Raises LogError: no column fits, or two fit equally.
     """
@@ -163,7 +165,8 @@ def guess_columns(
     if set(actuators) <= set(names) - set(joints):  # thrusters under their own names
         asked = {name: name for name in actuators}
     else:
-        asked = _best("commands of the actuators", "actuator", fits(asks), actuators, lambda w: _command_score(w, torques))
+        score = lambda w: _command_score(w, torques)
+        asked = _best("commands of the actuators", "actuator", fits(asks), actuators, score, driven)
     return RobotColumns(
         _stamp(names, unit),
         {name: Column(column=c, unit="" if unit[c] in ("rad", "m") else unit[c]) for name, c in measured.items()},
@@ -240,11 +243,28 @@ def _command_score(words: set[str], torques: bool) -> int:
 OWN_NAME = "name of #"  # columns named as the joints alone: positions, if nothing else is
 
 
-def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str], score) -> dict[str, str]:
-    """Site -> column of the family with the highest score. names: True for those whose unit fits.
+def _best(
+    what: str, table: str, names: Mapping[str, bool], sites: Sequence[str], score, others: Sequence[str] = ()
+) -> dict[str, str]:
+    """Site -> column of the family with the highest score, by the sites' names, without their generic words, or by others.
+
+    names: True for those whose unit fits. others: further names of the sites, such as those of the driven joints.
 
     Raises LogError: none, or two columns for one site.
     """
+    for listed in (sites, _short(sites), others, _short(others)):
+        if len(set(listed)) == len(sites) and (found := _best_named(what, table, names, listed, score)):
+            return dict(zip(sites, found, strict=True))
+    raise LogError(f"no columns for the {what} among {_listed(list(names))}; name them in a map, --columns MAP.toml, [{table}]")
+
+
+def _short(sites: Sequence[str]) -> list[str]:
+    """Names of sites without words such as servo or joint; as they are where nothing else is left."""
+    return ["_".join(word for word in header.words(site) if word not in GENERIC) or site for site in sites]
+
+
+def _best_named(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str], score) -> list[str]:
+    """Column of each site by one name of it; [] if there is none. Raises LogError: two columns for one site."""
     found: dict[str, dict[int, list[str]]] = {}
     for name in (name for name, fits in names.items() if fits):
         for place, key in _places(_plain(name), sites):
@@ -252,14 +272,12 @@ def _best(what: str, table: str, names: Mapping[str, bool], sites: Sequence[str]
     whole = {key: by for key, by in found.items() if set(by) == set(range(len(sites)))}
     ranked = sorted(((score(_words(key)) or (table == "joint" and key == OWN_NAME), key) for key in whole), reverse=True)
     if not ranked or ranked[0][0] <= 0:
-        raise LogError(
-            f"no columns for the {what} among {_listed(list(names))}; name them in a map, --columns MAP.toml, [{table}]"
-        )
+        return []
     best = [whole[key] for points, key in ranked if points == ranked[0][0]]
     for i, site in enumerate(sites):
         if len(candidates := [name for by in best for name in by[i]]) > 1:
             raise LogError(f"{what}: {site}: {' or '.join(candidates)}? Name them in a map, --columns MAP.toml, [{table}]")
-    return {site: best[0][i][0] for i, site in enumerate(sites)}
+    return [best[0][i][0] for i in range(len(sites))]
 
 
 def _places(name: str, sites: Sequence[str]) -> Iterator[tuple[int, str]]:
