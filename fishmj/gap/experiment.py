@@ -13,7 +13,7 @@ store it in a report and read it back, so that a later, longer calculation needs
 
 from dataclasses import replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -146,7 +146,8 @@ def planned_record(run: Excitation, like: Record) -> Record:
 def with_sensors_of_null(model, plan: Record, null: SimulatedNull) -> Record:
     """The planned record without sensors that the null runs of its experiment lack, such as a start pose after a push."""
     columns = null.experiment(model, plan)
-    return plan._replace(**{name: None for name in SENSORS if getattr(plan, name) is not None and f"{name}0" not in columns})
+    lacking: dict[str, Any] = {name: None for name in SENSORS if getattr(plan, name) is not None and f"{name}0" not in columns}
+    return plan._replace(**lacking)
 
 
 def hinted_experiments(sides: list[Hypothesis]) -> tuple[str, ...]:

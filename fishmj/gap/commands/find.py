@@ -257,5 +257,6 @@ def write(inquiry: Inquiry, folder: Path, context: dict) -> list[str]:
     done = console.after_answer("the patched model", patch, None)
     if done and done.path and done.accepted:
         write_answer(inquiry.verdict, folder, context, done.path.name)
-    pages = console.after_answer("the report", lambda: report.write(inquiry, folder), [])
+    pages: list[str] = []
+    pages = console.after_answer("the report", lambda: report.write(inquiry, folder), pages)
     return ["verdict.json", *pages, *([done.path.name] if done and done.path else [])]

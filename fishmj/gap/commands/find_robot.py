@@ -90,7 +90,8 @@ def find(args: Any) -> int:
         place = console.after_answer("the place of the gap", lambda: place_of(inquiry), None)
         told = answered(inquiry, place)
         console.say(*(f"  {title(name)}: {answer}" for name, answer in told["by_effect"].items()))
-        console.say(*(f"  {line}" for line in console.after_answer("the servos' gains", lambda: servo_gains(inquiry), [])))
+        none: list[str] = []
+        console.say(*(f"  {line}" for line in console.after_answer("the servos' gains", lambda: servo_gains(inquiry), none)))
         if place is not None:
             console.say(console.after_answer("the place of the gap", lambda: f"  {place_text(inquiry.verdict, place)}", ""))
         if place is not None and args.out:
