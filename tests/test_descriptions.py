@@ -324,6 +324,13 @@ def test_what_is_unlikely_or_left_out_is_read_and_said(place, value, told):
     assert re.search(told, notes(table)), notes(table)
 
 
+@pytest.mark.parametrize(("off", "doubted"), [(2e-6, False), (8e-5, False), (2e-4, True)])
+def test_rounded_sum_of_masses_is_no_doubt(off, doubted):
+    """A program that writes six decimals of the total rounds it."""
+    mass = sum(link["mass"] for link in whole()["link"])
+    assert ("mass_total" in notes(put(("body", "mass_total"), mass * (1 + off)))) == doubted
+
+
 def scaled(by: float) -> dict:
     table = whole()
     table["body"].pop("mass_total")

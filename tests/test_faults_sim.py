@@ -161,7 +161,7 @@ def test_fault_06_steps_that_do_not_nest_name_both_numbers_and_the_nearest():
     [
         (
             lambda: Sim("fish", water="structurd"),
-            "unknown water 'structurd'. Did you mean 'structured'? Known: fitted, hybrid, lbm, none, structured",
+            "unknown water 'structurd'. Did you mean 'structured'? Known: family, fitted, hybrid, lbm, none, structured",
         ),
         (lambda: Sim("fish", engine="mujco"), "Did you mean 'mujoco'?"),
         (lambda: Sim("fish", root="plane"), "Did you mean 'planar'?"),

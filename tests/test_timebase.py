@@ -181,6 +181,8 @@ def test_lost_and_repeated_rows_are_counted_from_numbers_or_from_steps():
     twice = np.sort(np.concatenate([t, t[[30, 60]] + 0.001]))
     values = np.sin(np.floor(twice / 0.02 + 1e-6))
     assert timebase.clock_of("cmd", {"t": twice, "c1": values}).duplicated == 2
+    unset = {"t": np.arange(5) * 0.02, "c1": np.arange(5.0), "seq": np.full(5, -1.0)}  # a driver that does not count
+    assert timebase.clock_of("cmd", unset).duplicated == timebase.clock_of("cmd", unset).dropped == 0
 
 
 def test_a_bus_that_changes_its_rate_loses_nothing():

@@ -119,7 +119,7 @@ def test_a_choice_stays_whatever_is_asked_for_later():
 
 
 def test_what_cannot_be_is_one_clear_error():
-    with pytest.raises(UnknownName, match="Known: fitted, hybrid, lbm, none, structured, swift"):
+    with pytest.raises(UnknownName, match="Known: family, fitted, hybrid, lbm, none, structured, swift"):
         chosen(FISH, "swfit")
     with pytest.raises(ConfigError, match="none is fitted for robot 'other'; take structured, or fit one"):
         chosen(replace(longer(FISH), name="other"), "fitted")

@@ -347,7 +347,7 @@ def clock_of(name: str, table: Table) -> TableClock:
     same = repeats(table)
     swum = float(np.sum(step[step <= max(PAUSE, 2 * middle)]))
     steps = int(np.sum(step <= max(PAUSE, 2 * middle)))
-    if "seq" in table:
+    if "seq" in table and np.ptp(table["seq"]) > 0:  # a constant number, such as -1, counts nothing
         seq = np.diff(np.asarray(table["seq"], float))
         dropped, duplicated = int(np.sum(np.maximum(seq - 1, 0))), int(np.sum(seq == 0))
     else:

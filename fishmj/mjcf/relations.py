@@ -18,6 +18,7 @@ from fishmj.mjcf.servo_buses import BUSES, NEARER, beyond_travel
 LONGEST, HEAVIEST = 30.0, 3e5  # m, kg: a longer or heavier fish is a mistake of units
 THINNEST, FATTEST = 0.05, 20.0  # factor on the widths that lets the fish float; beyond, masses and sections have different units
 ROUNDED = 0.01  # of the mass: mass_total may be rounded
+WRITTEN = 1e-4  # of the mass: rounding of a program that writes it
 NEAR = 1e-6  # relative: lengths that differ by less are the same
 RESERVED = ("world",)  # MuJoCo's own body
 # values beyond these are unlikely
@@ -392,7 +393,7 @@ def unlikely(table: Mapping[str, Any]) -> Iterator[KeyFault]:
             yield KeyFault("link", i, "com", got, expected, "com counts from the link's own front")
     yield from _unlikely_outline(links)
     stated = table.get("body", {}).get("mass_total")
-    if stated is not None and abs(mass - stated) > 1e-6 * mass:
+    if stated is not None and abs(mass - stated) > WRITTEN * mass:
         a, b = apart(stated, mass)
         todo = "the links' masses are what counts"
         yield KeyFault("body", None, "mass_total", f"{a} kg", f"the sum of the links' masses, {b} kg", todo)

@@ -274,6 +274,6 @@ def fitted_water(name: str) -> "HydroModel":
     plain, _ = split_member(name)
     if plain.removesuffix("-base") not in shipped() and not plain.endswith(".toml"):
         raise UnknownName(
-            "water", name, (*KINDS, *shipped(), *calib.families()), more=" One of your own is named by its file, .toml."
+            "water", name, (*KINDS, FAMILY, *shipped(), *calib.families()), more=" One of your own is named by its file, .toml."
         )
     return HydroModel.load(name)
