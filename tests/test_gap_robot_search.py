@@ -12,7 +12,8 @@ from robot_arm import ARM, edited, trials_of, write_logs
 
 from fishmj import effects
 from fishmj.gap.commands import find_robot
-from fishmj.gap.commands.find_robot import by_effect, place_of, place_text, robot_gates, servo_gains
+from fishmj.gap.commands.find_robot import by_effect, place_of, place_text, robot_gates, servo_gains, without_stand_in
+from fishmj.gap.decide.implausible import with_oversized
 from fishmj.gap.models.rigid_robot import RigidRobot
 from fishmj.gap.models.robot_description import read_robot
 from fishmj.gap.models.robot_sizes import RobotSizes, sizes_of
@@ -20,9 +21,11 @@ from fishmj.gap.null.robot_null import RobotNull
 from fishmj.gap.records.records import ResidualLayout
 from fishmj.gap.records.shooting import robot_records
 from fishmj.gap.report.robot_page import write_robot_page
+from fishmj.gap.search import unexplained_torque
 from fishmj.gap.search.fit import limiting
 from fishmj.gap.search.stepwise import CrossValidatedFit, converge, exchange_limiting_forms, propose
 from fishmj.gap.search.unexplained_torque import require_smaller_torques, with_measured_errors
+from fishmj.gap.verdict import NamedEffect, Value
 from fishmj.gap.wording import quantity
 from fishmj.gap.workflow import investigate, require_residual_at_floor
 
@@ -73,6 +76,37 @@ def test_friction_that_leaves_torques_is_not_named(sticky, share, answer):
     v = require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels)
     assert v.answer == answer and v.effects == sticky.verdict.effects, v.gates["torques"]
     assert ("remains" in v.reason) == (answer == "UNEXPLAINED")
+
+
+def test_torque_beyond_an_actuator_is_outside_the_catalogue(sticky, monkeypatch):
+    """What a plate pushes with loads each joint, so an effect at one of them explains nothing."""
+    e, row = sticky.evidence, sticky.found.best.row.copy()
+    row[e.model.index("coulomb_friction@elbow", "torque")] *= 0.4
+    assert require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels).answer == "NAMED"
+    monkeypatch.setattr(unexplained_torque, "torque_limits", lambda robot: np.array([np.inf, 1e-3]))
+    v = require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels)
+    assert v.answer == "UNEXPLAINED" and v.reason.startswith("something outside the catalogue acts at elbow: torques of")
+
+
+def test_limits_of_torque_are_those_of_the_actuators(folder):
+    path = folder / "limited.xml"
+    path.write_text(ARM.replace('ctrlrange="-4 4"', 'ctrlrange="-4 4" forcerange="-3.2 3" gear="2"'))
+    assert unexplained_torque.torque_limits(read_robot(path)).tolist() == [np.inf, 6.4]
+
+
+@pytest.mark.parametrize("where", ["effects", "tentative"])
+def test_implausible_wind_is_no_answer(sticky, where):
+    """28 m/s, named or only counted in, imitates what the catalogue lacks; friction at a joint has no usual size."""
+    wind = NamedEffect("steady_wind", {n: Value(v, "m/s", v, v) for n, v in zip("xyz", (0.0, 0.0, -28.0), strict=True)}, 1.0, 1.0)
+    stack = SimpleNamespace(effect=lambda name: effects.robot_catalogue()[name] if name != "steady_wind" else WIND)
+    v = replace(sticky.verdict, **{where: (*getattr(sticky.verdict, where), wind)})
+    found = without_stand_in(with_oversized(v, stack))
+    assert found.answer == "UNEXPLAINED" and "implausible value" in found.reason
+    assert any("steady wind: z = -28 m/s is implausibly large" in w for w in found.warnings)
+    assert without_stand_in(with_oversized(sticky.verdict, stack)) == sticky.verdict
+
+
+WIND = SimpleNamespace(parameters=effects.robot_catalogue()["steady_wind"].robot.parameters)
 
 
 def test_a_limiting_form_gives_way_to_the_law_that_it_imitates(folder, arm):
