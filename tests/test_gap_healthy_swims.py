@@ -40,7 +40,7 @@ def notes(monkeypatch):
     """Notes of the searches that begin; none of them is made."""
     begun: list[tuple] = []
 
-    def search(args, robot, given, notes, healthy):
+    def search(args, robot, given, notes, healthy, answered):
         begun.append(notes)
         raise find.admission.TooDifferent(1e6, {}, [])
 
