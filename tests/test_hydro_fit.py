@@ -13,7 +13,7 @@ import jax
 import numpy as np
 import pytest
 
-from fishmj.base import console
+from fishmj.base import calib, console
 from fishmj.base.errors import ConfigError, DatasetError, UsageError
 from fishmj.engines.hybrid import online_correction
 from fishmj.hydro_fit import __main__ as verb
@@ -466,3 +466,17 @@ def test_damaged_water_is_replaced_by_the_next_fit(tmp_path, capsys):
     weights.write_bytes(weights.read_bytes()[:-4] + b"0000")
     assert verb.standing_model(tmp_path, "swift", robot_hash(fish)) is None
     assert "cannot be compared and will be replaced" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [name for name in calib.waters() if name != "tendon_fish"])
+def test_check_takes_test_swims_of_the_models_own_water(name):
+    """Shipped segments are of three slip ratios in one box; a water of another is not compared with them in silence."""
+    model, data = HydroModel.load(name), open_dataset(verb.SHIPPED[0], test=True)
+    own = {(1.0, "window_coarse"), (0.95, "window_coarse"), (0.0, "window_coarse")}
+    if (model.slip, model.dataset["grid"]) in own:
+        assert verb.of_its_water(model, [data], None) == [data]
+    else:
+        told = f"{name} was fitted at slip {model.slip:g} .* fishmj hydro_fit collect .*--data runs/{name}-test"
+        with pytest.raises(DatasetError, match=told):
+            verb.of_its_water(model, [data], None)
+        assert verb.of_its_water(model, [data], 0.95) == [data]  # another water on purpose
