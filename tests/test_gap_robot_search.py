@@ -79,7 +79,7 @@ def test_friction_that_leaves_torques_is_not_named(sticky, share, answer):
 
 
 def test_torque_beyond_an_actuator_is_outside_the_catalogue(sticky, monkeypatch):
-    """What a plate pushes with loads each joint, so an effect at one of them explains nothing."""
+    """The force of a plate loads each joint, so an effect at one of them explains nothing."""
     e, row = sticky.evidence, sticky.found.best.row.copy()
     row[e.model.index("coulomb_friction@elbow", "torque")] *= 0.4
     assert require_smaller_torques(sticky.verdict, e, row, e.model.robot.channels).answer == "NAMED"

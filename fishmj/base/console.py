@@ -334,11 +334,9 @@ class CommandGroup:
 
     @cached_property
     def commands(self) -> dict[str, Command]:
-        """Commands of fishmj, then those that installed packages add."""
-        added = {name: command for point in entry_points(group=VERBS, name=self.verb) for name, command in point.load().items()}
-        found = {**added, **self.own}
-        _EXAMPLES.update({f"fishmj {self.verb} {name}": f"examples:\n  {command.example}" for name, command in found.items()})
-        return {**self.own, **found}
+        """Commands of fishmj, then those that installed packages add. A command of fishmj itself runs without this look-up."""
+        added = (point.load() for point in entry_points(group=VERBS, name=self.verb))
+        return self.own | {key: command for table in added for key, command in table.items() if key not in self.own}
 
     def __call__(self, argv: list[str]) -> int | None:
         if argv and argv[0] in HELP:
@@ -350,7 +348,7 @@ class CommandGroup:
             return self.load(self.bare)(argv)
         if not argv:
             raise UsageError(f"{self.verb}: expected a command: {', '.join(self.commands)}; see fishmj {self.verb} --help")
-        words = 2 if " ".join(argv[:2]) in self.commands else 1
+        words = 1 if argv[0] in self.own or " ".join(argv[:2]) not in self.commands else 2
         name = " ".join(argv[:words])
         if name.startswith("-"):
             raise UsageError(f"{self.verb}: expected a command before {shown(name)}. Known: {', '.join(self.commands)}")
@@ -358,10 +356,12 @@ class CommandGroup:
 
     def load(self, name: str) -> Main:
         """Imports a command and returns its function. Raises UnknownName: no command of this name."""
-        if name not in self.commands:
+        command = self.own.get(name) or self.commands.get(name)
+        if command is None:
             short = name if len(name) <= SHOWN else name[:SHOWN] + "..."
             raise UnknownName(f"{self.verb} command", short, self.commands, more=more_verbs())
-        run = self.commands[name].run
+        run, _, example = command
+        _EXAMPLES[f"fishmj {self.verb} {name}"] = f"examples:\n  {example}"
         if not isinstance(run, str):
             return run
         module = import_module(run)

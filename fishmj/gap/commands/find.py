@@ -97,11 +97,11 @@ def main(argv: list[str]) -> int:
         return console.CANNOT_TELL
 
     def answered(inquiry: Inquiry) -> None:
-        """Writes and prints the answer before any advice is computed."""
-        if args.out:
-            write_answer(inquiry.verdict, args.out, context_of(inquiry, args, given))
+        """Prints and writes the answer before any advice is computed."""
         first.append(inquiry.verdict.text())
         console.say(*first)
+        if args.out:
+            write_answer(inquiry.verdict, args.out, context_of(inquiry, args, given))
 
     first: list[str] = []
     try:
